@@ -10,6 +10,7 @@ import numpy as np
 from groundtruth import simulate
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene, open_viewer
 
 STANDOFF_m = 5e-3  # from the tip to the gel's surface at the tare
@@ -34,7 +35,9 @@ if __name__ == "__main__":  # the page is a process of its own
                 session.tare()
                 tip_m, axis = session.zero
                 match = PlanMatch(PLAN, offset_std_m=3e-3)  # registered within 3 mm
-                session.follow(match, tip_m + STANDOFF_m * axis)
+                entry_m = tip_m + STANDOFF_m * axis
+                path = PlannedPath.of_std(entry_m, entry_m + 0.05 * axis, std_m=3e-3)
+                session.follow(match, path=path)
             plan = estimate.plan
             if plan is not None:
                 rows.append((t_s, 1e3 * plan.offset_m, 1e3 * plan.offset_std_m))

@@ -97,8 +97,9 @@ def _stamp_of(module: str) -> str:
 def _hash_sources(package: str) -> str:
     """Return a hash of the sources of a package, and of this one."""
     digest = sha256()
-    for folder in (package, "foundation"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
+    for name in (package, "foundation"):
+        module = ROOT.glob(f"{name}.py")
+        for path in sorted([*module, *(ROOT / name).rglob("*.py")]):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

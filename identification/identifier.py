@@ -243,7 +243,8 @@ class Identifier:
                 f"{type(snapshot).__name__}",
                 SAME_KIND,
             )
-        self._method.restore(snapshot.state)
+        state: Any = snapshot.state  # of the method that the config names
+        self._method.restore(state)
         self._check = as_record(snapshot.check)
         self._removed_m = snapshot.check.removed_m
         self._travel = as_record(snapshot.travel)

@@ -13,9 +13,9 @@ insertion begins and ends), `rewinding` (what a push on the arm undoes), `zero_w
 (what shows another zero), `session_snapshot`; `plan_follower` (a plan beside it),
 `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
 `session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
-`tare_run` (when it is tared), `recorder` (an arm's signals into a file), `state` (stop
-and resume); then the packages `recordings`, `plots`, `cli`, `control` (what moves the
-needle), `anatomy` (what it enters), `simulation`.
+`tare_run` (when it is tared), `recorder` (an arm's signals into a file); then the
+packages `recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy`
+(what it enters), `simulation`.
 """
 
 from importlib import import_module
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from needleforce.session_replay import replay_session as replay_session
     from needleforce.session_snapshot import InsertionError as InsertionError
     from needleforce.session_snapshot import SessionSnapshot as SessionSnapshot
-    from needleforce.state import SnapshotFileError as SnapshotFileError
-    from needleforce.state import read_snapshot as read_snapshot
-    from needleforce.state import write_snapshot as write_snapshot
+    from needleforce.session_snapshot import SnapshotFileError as SnapshotFileError
+    from needleforce.session_snapshot import read_snapshot as read_snapshot
+    from needleforce.session_snapshot import write_snapshot as write_snapshot
     from needleforce.tare_run import AutoTare as AutoTare
     from residual import SensorConfig as SensorConfig
     from residual import SensorWarning as SensorWarning
@@ -74,8 +74,9 @@ _NAMES_OF = {
     ),
     "needleforce.session": ("InsertionSession", "SessionEstimate"),
     "needleforce.session_replay": ("replay_session",),
-    "needleforce.session_snapshot": ("InsertionError", "SessionSnapshot"),
-    "needleforce.state": (
+    "needleforce.session_snapshot": (
+        "InsertionError",
+        "SessionSnapshot",
         "SnapshotFileError",
         "read_snapshot",
         "write_snapshot",

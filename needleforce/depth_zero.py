@@ -6,19 +6,17 @@ with tissue, and says which.
 """
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from identification import LayerEstimate
+    from needleforce.session import SessionEstimate
 
 PLANNED_ENTRY = "below the planned entry"
 FIRST_CONTACT = "below first contact"
 TARE = "from the tare, before contact"
 FIRST_ROW = "from the first row"
 LOG_ZERO = "as in the log, without contact"
-
-ZERO_NAMES = (TARE, FIRST_CONTACT, PLANNED_ENTRY)
-"""Names of zeros by their numbers in rows of the scene."""
 
 
 class DepthZero(NamedTuple):
@@ -51,15 +49,10 @@ class DepthZero(NamedTuple):
         return 1e3 * math.hypot(end_std_m, zero_std_m)
 
 
-def find_depth_zero(estimate: Any) -> DepthZero:
-    """Return where the depths of an estimate count from when they are shown.
-
-    Args:
-        estimate: A `SessionEstimate`.
-    """
-    below_m = getattr(estimate, "depth_in_tissue_m", None)
+def find_depth_zero(estimate: "SessionEstimate") -> DepthZero:
+    """Return where the depths of an estimate count from when they are shown."""
+    below_m = estimate.depth_in_tissue_m
     if below_m is None:
         return DepthZero(0.0, TARE)
-    has_entry = getattr(estimate, "deviation", None) is not None
-    name = PLANNED_ENTRY if has_entry else FIRST_CONTACT
+    name = FIRST_CONTACT if estimate.deviation is None else PLANNED_ENTRY
     return DepthZero(estimate.depth_m - below_m, name)

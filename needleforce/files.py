@@ -2,8 +2,6 @@
 
 import os
 import secrets
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,8 +33,7 @@ def whole_file(
     target = Path(os.path.realpath(path))
     is_special = target.exists() and not target.is_file()
     if is_in_place or is_special:
-        mode = "wb" if overwrites or is_special else "xb"
-        stream = _open_pipe(target) if target.is_fifo() else target.open(mode)
+        stream = target.open("wb" if overwrites or is_special else "xb")
         with _closed_quietly(stream):
             yield stream
             stream.flush()
@@ -49,33 +46,19 @@ def whole_file(
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-            new_file.replace(target)
+        new_file.replace(target)
     finally:
         new_file.unlink(missing_ok=True)
 
 
 @contextmanager
-def _closed_quietly(stream: BinaryIO) -> Iterator[BinaryIO]:
+def _closed_quietly(stream: BinaryIO) -> Iterator[None]:
     """Close a file at the end of a block, without an error of its own.
 
     On a full disk closing fails, too, but that has been reported by writing.
     """
     try:
-        yield stream
+        yield
     finally:
         with suppress(OSError):
             stream.close()
-
-
-def _open_pipe(path: Path) -> BinaryIO:
-    """Open a pipe once it has a reader; Ctrl-C ends the waiting at once.
-
-    Whatever else the signal is used for, it interrupts here.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        return path.open("wb")
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return path.open("wb")
-    finally:
-        signal.signal(signal.SIGINT, handler)

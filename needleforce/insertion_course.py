@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from foundation.arrays import Array, Vector
-from foundation.jit import compiled, compiled_inside
+from foundation.jit import compiled
 from foundation.linear_algebra import dot
 from identification import LayerEstimate
 from identification import Snapshot as IdentifierSnapshot
@@ -33,7 +33,6 @@ from needleforce.tip_travel import (
     Needle,
     TipTravel,
     TravelZero,
-    place_beside_line,
     place_tip,
     tip_speed,
 )
@@ -144,17 +143,22 @@ class InsertionProgress(NamedTuple):
         )
 
 
-@compiled_inside
-def has_moved_aside(height_m: float, aside_m: float, cosine: float) -> bool:
-    """Return whether the needle has moved as none does in tissue.
+class CourseState(NamedTuple):
+    """State of an `InsertionCourse`.
 
-    Args:
-        height_m: From the beginning of its line to the tip, along the line.
-        aside_m: Distance of the tip from the line.
-        cosine: Of the angle between the line and the needle.
+    Attributes:
+        zero: Where depth counts from.
+        travel: Depth and speed of the tip.
+        time_s: See `SessionEstimate`.
+        insertion: Course of this insertion.
+        channels: Those that earlier insertions have cut.
     """
-    largest_m = max(ASIDE_M, ASIDE_PER_TRAVEL * abs(height_m))
-    return aside_m > largest_m or cosine < FAR_TURN_COSINE
+
+    zero: TravelZero
+    travel: TipTravel
+    time_s: float
+    insertion: InsertionProgress
+    channels: tuple[NeedleChannel, ...]
 
 
 NeedleMotion = tuple[float, float, bool, bool, bool]
@@ -178,17 +182,25 @@ def follow_needle(
     Returns:
         Position of the tip along the direction of depth [m]; its speed along the needle
         [m/s]; whether the needle has turned away from the direction of depth; whether
-        it `has_moved_aside`; whether the tip is beside its channel.
+        it has moved from the line as none does in tissue; whether the tip is beside its
+        channel.
     """
     tip = place_tip(needle)
-    speed_m_s = tip_speed(tip, needle, dq)
-    place = place_beside_line(tip, line_start, line_axis)
+    height_m = 0.0
+    for i in range(3):
+        height_m += line_axis[i] * (tip.position_m[i] - line_start[i])
+    aside_m2 = 0.0
+    for i in range(3):
+        aside_m2 += (tip.position_m[i] - line_start[i] - height_m * line_axis[i]) ** 2
+    aside_m = math.sqrt(aside_m2)
+    allowed_m = max(ASIDE_M, ASIDE_PER_TRAVEL * abs(height_m))
+    is_turned_far = dot(line_axis, tip.direction) < FAR_TURN_COSINE
     return (
         dot(axis, tip.position_m),
-        speed_m_s,
+        tip_speed(tip, needle, dq),
         dot(axis, tip.direction) < MAX_TURN_COSINE,
-        has_moved_aside(place.height_m, place.aside_m, place.cosine),
-        place.aside_m > LEFT_M,
+        aside_m > allowed_m or is_turned_far,
+        aside_m > LEFT_M,
     )
 
 
@@ -234,22 +246,24 @@ class InsertionCourse:
         self._is_started = False
         self.begin_here()
 
-    def restore(
-        self,
-        zero: TravelZero,
-        travel: TipTravel,
-        time_s: float,
-        insertion: InsertionProgress,
-        channels: tuple[NeedleChannel, ...],
-        *,
-        is_started: bool,
-    ) -> None:
-        """Continue from a state; the plan has one of its own."""
-        self._count_depth_from(zero)
-        self.travel = travel
-        self.time_s = time_s
-        self.insertion = insertion
-        self.channels = channels
+    def state(self) -> CourseState:
+        """Return what `restore` continues from; the plan has a state of its own."""
+        return CourseState(
+            self.zero, self.travel, self.time_s, self.insertion, self.channels
+        )
+
+    def restore(self, state: CourseState, *, is_started: bool) -> None:
+        """Continue from a state.
+
+        Args:
+            state: The state.
+            is_started: Whether a valid sample had come.
+        """
+        self._count_depth_from(state.zero)
+        self.travel = state.travel
+        self.time_s = state.time_s
+        self.insertion = state.insertion
+        self.channels = state.channels
         self._is_started = is_started
 
     @property
@@ -302,9 +316,9 @@ class InsertionCourse:
         if self._is_started:
             self.time_s += elapsed_s
         else:
-            self._zero_depth()
+            self._count_depth_from(self._line)
             self.insertion = InsertionProgress(self.zero)
-            self.plan.begin(*self.zero)
+            self.plan.begin(self.zero)
             self._is_started = True
         line = self.insertion.line
         position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
@@ -337,16 +351,13 @@ class InsertionCourse:
         min_excess_s = 0.05
         if self._is_in_air or self.insertion.is_too_fast:
             return
-        excess_s = self.insertion.too_fast_s
-        if self.travel.speed_m_s * force_lag_s > MAX_TRAVEL_IN_LAG_M:
-            excess_s += dt_s
-        elif excess_s == 0.0:
-            return
-        else:
-            excess_s = max(excess_s - dt_s, 0.0)
-        self.insertion = self.insertion._replace(
-            too_fast_s=excess_s, is_too_fast=excess_s > min_excess_s
-        )
+        is_fast = self.travel.speed_m_s * force_lag_s > MAX_TRAVEL_IN_LAG_M
+        before_s = self.insertion.too_fast_s
+        excess_s = max(before_s + (dt_s if is_fast else -dt_s), 0.0)
+        if excess_s != before_s:
+            self.insertion = self.insertion._replace(
+                too_fast_s=excess_s, is_too_fast=excess_s > min_excess_s
+            )
 
     def find_insertion(self, *, is_resuming: bool) -> bool:
         """Begin another insertion where the needle has left the last.
@@ -401,28 +412,21 @@ class InsertionCourse:
         """Remember the channel and begin anew, along the needle's axis if it turned."""
         self.remember_channel()
         if self._is_turned:
-            self._zero_depth()
+            self._count_depth_from(self._line)
             self.travel = TipTravel()
         self.begin_anew()
 
     def begin_anew(self) -> None:
         """Begin an insertion here; layers stay until tissue is met."""
-        depth_m = self.travel.depth_m
-        self._begin(
-            InsertionProgress(
-                line=self._line,
-                line_depth_m=depth_m,
-                deepest_m=depth_m,
-                highest_m=depth_m,
-                layers_before=self.layers,
-            )
-        )
+        layers = self.layers
+        self._begin(self._line, self.travel.depth_m)
+        self.insertion = self.insertion._replace(layers_before=layers)
 
     def begin_here(self) -> None:
         """Begin an insertion with depth zero here."""
-        self._zero_depth()
+        self._count_depth_from(self._line)
         self.travel = TipTravel()
-        self._begin(InsertionProgress(self.zero))
+        self._begin(self.zero, 0.0)
 
     def begin_tare(self) -> None:
         """Begin an insertion where a tare says that there is free air."""
@@ -432,36 +436,35 @@ class InsertionCourse:
 
     def begin_where_tared(self) -> None:
         """Count depth from here at the end of a tare; no sample was used since."""
-        self._zero_depth()
+        self._count_depth_from(self._line)
         self.travel = TipTravel()
         self.insertion = InsertionProgress(self.zero)
         self._identifier.date(self.time_s)
-        self.plan.begin(*self.zero)
+        self.plan.begin(self.zero)
 
-    def _begin(self, insertion: InsertionProgress) -> None:
-        """Begin an insertion: forget what was identified."""
-        self.insertion = insertion
+    def _begin(self, line: TravelZero, depth_m: float) -> None:
+        """Begin an insertion at a depth: forget what was identified."""
+        self.insertion = InsertionProgress(
+            line, line_depth_m=depth_m, deepest_m=depth_m, highest_m=depth_m
+        )
         self._identifier.begin(self.time_s)
         self._zero_watch.begin_insertion()
-        self.plan.begin(*self.zero)
+        self.plan.begin(self.zero)
 
     def move_zero_here(self) -> None:
         """Count depth from here; what is known of the tissue stays."""
         travel = self.travel
         moved_m = -travel.depth_m
-        self._zero_depth()
+        self._count_depth_from(self._line)
         self.travel = travel._replace(
             depth_m=0.0, delayed_depth_m=travel.delayed_depth_m + moved_m
         )
         self.insertion = self.insertion.with_depths_moved(moved_m)
         self._identifier.move_zero(moved_m, self.time_s)
-        self.plan.move_zero(*self.zero, moved_m)
-
-    def _zero_depth(self) -> None:
-        """Count depth from where the tip is, along the needle's present direction."""
-        self._count_depth_from(self._line)
+        self.plan.move_zero(self.zero, moved_m)
 
     def _count_depth_from(self, zero: TravelZero) -> None:
+        """Count depth from a place, along a direction."""
         self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
         self.zero = zero
 
@@ -484,9 +487,8 @@ class InsertionCourse:
         length_m = self._length_to_remember_m
         if contact_m is None or length_m == 0.0:
             return
-        insertion = self.insertion
-        start_m, axis = insertion.line
-        entry_m = start_m + (contact_m - insertion.line_depth_m) * axis
+        start_m, axis = self.insertion.line
+        entry_m = start_m + (contact_m - self.insertion.line_depth_m) * axis
         channel = NeedleChannel(
             entry=TravelZero(entry_m, axis),
             length_m=length_m,
@@ -498,11 +500,9 @@ class InsertionCourse:
 
     def go_on_in_channel(self) -> None:
         """Go on in a channel that the needle comes to, or is in."""
-        channel = find_channel(self.channels, self._tool.needle)
-        if channel is None:
-            return
-        friction = read_friction(channel.identifier)
-        if friction is None:
+        channel = find_channel(self.channels, self._line)
+        friction = None if channel is None else read_friction(channel.identifier)
+        if channel is None or friction is None:
             return
         start_m, zero_axis = self.zero
         entry_depth_m = float(zero_axis.dot(channel.entry.start_in_base_m - start_m))
@@ -515,7 +515,7 @@ class InsertionCourse:
             moved_m=entry_depth_m - channel.entry_depth_m,
             passed_s=self.time_s - channel.left_s,
         )
-        self._identifier.resume(known, self.time_s)
+        self._identifier.go_back(known, self.time_s, self.time_s)
         old = OldChannel(
             begin_m=entry_depth_m,
             end_m=end_m,
@@ -534,7 +534,7 @@ class InsertionCourse:
             channel=old,
         )
         layers = self._identifier.identifier.layers
-        self.plan.begin(*self.zero, tuple(layer.rupture for layer in layers))
+        self.plan.begin(self.zero, (layer.rupture for layer in layers))
 
     def check_channel(self, old: OldChannel, wrench: "WrenchEstimate") -> None:
         """Compare the force with the friction of the channel; drop it if they differ.
@@ -575,4 +575,4 @@ class InsertionCourse:
             highest_m=depth_m,
             channel_state=ChannelState.CONTRADICTED,
         )
-        self.plan.begin(*self.zero)
+        self.plan.begin(self.zero)

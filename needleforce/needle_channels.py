@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Vector
 from identification.channel import ChannelFriction
 from identification.identifier import Snapshot as IdentifierSnapshot
-from needleforce.tip_travel import Needle, TipTravel, TravelZero, measure_line_offset
+from needleforce.tip_travel import TipTravel, TravelZero
 
 NEEDLE_DIAMETER_M = 1.27e-3
 """Outer diameter of a needle of 18 gauge: as far aside its channel is met."""
@@ -133,22 +132,34 @@ class OldChannel(NamedTuple):
 
 
 def find_channel(
-    channels: tuple[NeedleChannel, ...], needle: Needle
+    channels: tuple[NeedleChannel, ...], needle: TravelZero
 ) -> NeedleChannel | None:
     """Return the channel that the needle is in, or comes to; the newest, None if none.
 
     Its line has to meet that of the channel, within a diameter at entry and end.
+
+    Args:
+        channels: Those remembered.
+        needle: Where the tip is now, and the needle's direction.
     """
     # Distance from the tip to a channel's entry at which it is recognised: less than
     # the retreat that ends an insertion, so that the force in free air is measured
     # before
     ahead_m = 2e-3
+    # Cosine of an angle that counts as a right one: the lines then miss each other
+    min_cosine = 1e-3
+    tip_m, direction = needle
     for channel in reversed(channels):
-        offset = measure_line_offset(*channel.entry, channel.length_m, needle)
-        if (
-            max(offset.entry_miss_m, offset.end_miss_m) <= NEEDLE_DIAMETER_M
-            and -ahead_m <= offset.height_m <= channel.length_m
-        ):
+        entry_m, axis = channel.entry
+        beside_m = tip_m - entry_m
+        height_m = float(axis.dot(beside_m))
+        if not -ahead_m <= height_m <= channel.length_m:
+            continue
+        slope = direction / max(float(axis.dot(direction)), min_cosine)
+        to_entry_m = beside_m - height_m * slope
+        to_end_m = to_entry_m + channel.length_m * (slope - axis)
+        misses_m = np.linalg.norm([to_entry_m, to_end_m], axis=1)
+        if misses_m.max() <= NEEDLE_DIAMETER_M:
             return channel
     return None
 
@@ -182,14 +193,7 @@ def remove_channel(
 
 def _is_same(one: TravelZero, other: TravelZero, length_m: float) -> bool:
     """Return whether two lines agree within a diameter, at the beginning and end."""
-    entry_m, axis = one
-    other_entry_m, other_axis = other
-    entry_miss_m = _distance(entry_m, other_entry_m)
-    end_miss_m = _distance(
-        entry_m + length_m * axis, other_entry_m + length_m * other_axis
-    )
-    return max(entry_miss_m, end_miss_m) <= NEEDLE_DIAMETER_M
-
-
-def _distance(one: Vector, other: Vector) -> float:
-    return float(np.linalg.norm(one - other))
+    entry_m = one.start_in_base_m - other.start_in_base_m
+    end_m = entry_m + length_m * (one.axis_in_base - other.axis_in_base)
+    misses_m = np.linalg.norm([entry_m, end_m], axis=1)
+    return bool(misses_m.max() <= NEEDLE_DIAMETER_M)

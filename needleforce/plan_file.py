@@ -6,11 +6,13 @@
 The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside it.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -39,12 +41,6 @@ from needleforce.anatomy.clearance import (
 )
 from needleforce.anatomy.labels import SHOWN_VOXEL_m
 from needleforce.needle_on_plan import PlannedPath
-from needleforce.plan_binding import (
-    MadeOf,
-    check_files,
-    check_registration,
-    path_sha256,
-)
 from needleforce.scene import PlanScene
 
 if TYPE_CHECKING:
@@ -52,23 +48,13 @@ if TYPE_CHECKING:
 
 PLAN = "plan.json"
 
-
-MIN_VOXELS = 500
-"""Structures with fewer voxels are not shown."""
-
-
-ROTATION_TOLERANCE = 1e-3
-"""By so much the rows of a rotation may miss being orthonormal."""
-
-
-PLAN_VERSION = 2
-"""Of the file that `needleforce plan` writes; 1 was that of version 0.2."""
-
-MISSING_PATH = "neither layers nor entry_m and target_m in it"
-MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
-
+PLAN_VERSION = 3
+"""Of the file that `needleforce plan` writes."""
 
 GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz."
+
+Point = Annotated[tuple[float, ...], msgspec.Meta(min_length=3, max_length=3)]
+"""Three numbers."""
 
 
 class PlanFileError(NeedleforceError, ValueError):
@@ -77,65 +63,90 @@ class PlanFileError(NeedleforceError, ValueError):
     usual_advice = GIVE_PLAN
 
 
-class Point(NamedTuple):
-    """A place or a direction.
-
-    Attributes:
-        x: Along the first axis.
-        y: Along the second axis.
-        z: Along the third axis.
-    """
-
-    x: float
-    y: float
-    z: float
-
-
-class Rotation(NamedTuple):
-    """A rotation matrix.
-
-    Attributes:
-        x: First row.
-        y: Second row.
-        z: Third row.
-    """
-
-    x: Point
-    y: Point
-    z: Point
-
-
-NO_ROTATION = Rotation(Point(1.0, 0.0, 0.0), Point(0.0, 1.0, 0.0), Point(0.0, 0.0, 1.0))
-
-
 class LoadedPlan(NamedTuple):
     """A plan as a session and the scene take it.
 
     Attributes:
         scene: Anatomy and plan for the viewer.
         match: The layers with which ruptures are matched.
-        entry_in_base_m: The entry point in the robot's base, shape (3,) [m]; None where
-            depths count as the session's.
         warnings: What is wrong with the plan, or could not be checked.
-        path: The planned path in the robot's base; None without entry and target.
+        path: The planned path in the robot's base; None without entry and target, where
+            depths count as the session's.
         surroundings: The structures at risk around it; None where there are no labels.
     """
 
     scene: PlanScene
     match: PlanMatch
-    entry_in_base_m: Array | None
     warnings: tuple[str, ...] = ()
     path: PlannedPath | None = None
     surroundings: NeedleSurroundings | None = None
 
+    @property
+    def entry_in_base_m(self) -> Array | None:
+        """The entry point in the robot's base, shape (3,) [m]; None without a path."""
+        return None if self.path is None else self.path.entry_m
+
     def follow_with(self, session: "InsertionSession") -> None:
         """Let a session follow the plan."""
-        session.follow(
-            self.match,
-            self.entry_in_base_m,
-            path=self.path,
-            surroundings=self.surroundings,
-        )
+        session.follow(self.match, path=self.path, surroundings=self.surroundings)
+
+
+class MadeOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a plan was made of.
+
+    Attributes:
+        sha256: Of CT, labels and path, see `hash_sources`.
+        avoided: Names of the structures that had to stay clear.
+    """
+
+    sha256: str
+    avoided: tuple[str, ...]
+
+
+def hash_sources(
+    scan: Volume,
+    labels: Labels,
+    ends_m: Array,
+    layers: Sequence[Layer],
+    space: FreeSpace,
+) -> str:
+    """Return a SHA-256 of what a plan is made of: any change to it shows.
+
+    Args:
+        scan: The CT.
+        labels: The segmentation, as in its file.
+        ends_m: Entry and target in LPS, (2, 3).
+        layers: What the path crosses.
+        space: What must stay free around the needle.
+    """
+    digest = sha256()
+    for grid, volumes in ((scan.grid, [scan.values]), (labels.grid, labels.volumes)):
+        for values in (grid.shape, grid.origin_m, grid.axes_m, *volumes):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    path = [
+        [(item.name, item.value, item.volume) for item in labels.structures],
+        [(layer.name, float(layer.exit_m)) for layer in layers],
+        np.asarray(ends_m).tolist(),
+        [float(space.needle_radius_m), float(space.margin_m)],
+    ]
+    digest.update(json.dumps(path).encode())
+    return digest.hexdigest()
+
+
+class _RegisteredPlace(msgspec.Struct):
+    """Where registration has put the path.
+
+    Attributes:
+        entry_in_base_m: The entry in the robot's base.
+        target_in_base_m: The target in the robot's base.
+        entry_error_rms_m: Error to be expected at the entry.
+        target_error_rms_m: At the target.
+    """
+
+    entry_in_base_m: Point
+    target_in_base_m: Point
+    entry_error_rms_m: float
+    target_error_rms_m: float
 
 
 class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
@@ -188,35 +199,21 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     ct: str = ""
     labels: str = ""
     structures: str | dict[str, str] = ""
-    registration: dict[str, Any] | None = None
+    registration: _RegisteredPlace | None = None
     made_of: MadeOf | None = None
-    rotation: Rotation | None = None
-    translation_m: Point = Point(0.0, 0.0, 0.0)
+    rotation: tuple[Point, ...] | None = None
+    translation_m: Point = (0.0, 0.0, 0.0)
     entry_m: Point | None = None
     target_m: Point | None = None
     offset_std_m: float = 3e-3
     covariance: tuple[tuple[float, ...], ...] = ()
-    pivot_m: Point = Point(0.0, 0.0, 0.0)
+    pivot_m: Point = (0.0, 0.0, 0.0)
     start_m: float = 0.0
     layers: tuple[_PlannedLayer, ...] = ()
     needle_radius_m: float = NEEDLE_RADIUS_m
     margin_m: float = MARGIN_m
     accepted_obstacles: tuple[str, ...] = ()
     situs_inversus: bool = False
-
-
-class _Anatomy(NamedTuple):
-    """What lies beside a plan.
-
-    Attributes:
-        scene: Anatomy and plan for the viewer.
-        labels: The segmentation, if there is one.
-        warnings: What has changed since the plan was made.
-    """
-
-    scene: PlanScene
-    labels: Labels | None = None
-    warnings: tuple[str, ...] = ()
 
 
 def read_plan(
@@ -243,49 +240,109 @@ def read_plan(
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
         plan.situs_inversus |= situs_inversus
-        _require_metres(plan)
-        _require_registration(plan)
-        scene, labels, changes = _anatomy_of(plan, path.parent, progress)
-        layers = _planned_layers(plan) or list(scene.layers)
-        planned = _path_of(plan, scene)
-        warnings = [
-            *changes,
-            *_check_obstacles(plan, labels, layers, is_past=is_past),
-        ]
-        surroundings = _surroundings_of(plan, labels)
-        if planned is None:
-            warnings.append(
-                "no entry and target in the plan: not checked whether the "
-                "needle is on it"
-            )
-        match = PlanMatch(
-            layers,
-            plan.offset_std_m,
-            accepted_obstacles=[layer.name for layer in layers]
-            if is_past
-            else plan.accepted_obstacles,
-        )
+        return _load_plan(plan, path.parent, is_past=is_past, progress=progress)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise PlanFileError(f"{path}: {error}") from error
-    entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
-    return LoadedPlan(
-        scene._replace(
-            layers=match.layers,
-            warnings=tuple(warnings),
-            watched=() if surroundings is None else surroundings.names,
-        ),
-        match,
-        entry_m,
-        tuple(warnings),
-        planned,
-        surroundings,
+
+
+def _load_plan(
+    plan: _PlanFile,
+    folder: Path,
+    *,
+    is_past: bool,
+    progress: Callable[[float], None],
+) -> LoadedPlan:
+    """Return the plan of a file in a folder; see `read_plan`."""
+    ends_m = _checked_ends(plan)
+    registration = _checked_registration(plan)
+    if plan.version:
+        _require_registered(plan, registration, ends_m)
+    layers = _planned_layers(plan)
+    if ends_m is None:
+        warnings = [
+            "no entry and target in the plan: not checked whether the needle is on it"
+        ]
+        labels = scan = path = surroundings = None
+    else:
+        labels, scan, warnings = _read_anatomy(plan, folder, ends_m, layers)
+        path = _path_of(plan, registration, ends_m)
+        layers = layers or ([] if labels is None else labels.layers_along(*ends_m))
+        surroundings = None
+    if not layers:
+        raise ValueError(
+            "neither layers in it, nor entry_m and target_m with labels.nii.gz, .nrrd "
+            "or a .seg.nrrd beside it"
+        )
+    warnings += _check_obstacles(plan, labels, layers, is_past=is_past)
+    if labels is not None and ends_m is not None:
+        surroundings = NeedleSurroundings(
+            labels,
+            registration,
+            ends_m[0],
+            ends_m[1],
+            _space_of(plan),
+            leave_out=(plan.target, *plan.accepted_obstacles),
+        )
+    accepted = [layer.name for layer in layers] if is_past else plan.accepted_obstacles
+    match = PlanMatch(layers, plan.offset_std_m, accepted_obstacles=accepted)
+    scene = PlanScene(
+        surfaces=() if labels is None else _large_surfaces(labels, progress),
+        layers=match.layers,
+        entry_m=None if ends_m is None else ends_m[0],
+        target_m=None if ends_m is None else ends_m[1],
+        rotation=registration.rotation,
+        translation_m=registration.translation_m,
+        scan=None if scan is None or ends_m is None else crop_scan(scan, *ends_m),
+        warnings=tuple(warnings),
+        watched=() if surroundings is None else surroundings.names,
     )
+    return LoadedPlan(scene, match, tuple(warnings), path, surroundings)
 
 
-def _registration_of(plan: _PlanFile) -> Registration:
+def _checked_ends(plan: _PlanFile) -> Array | None:
+    """Return entry and target, (2, 3); None without them."""
+    max_coordinate_m = 10.0  # A larger coordinate is not in metres [m]
+    if (plan.entry_m is None) != (plan.target_m is None):
+        raise ValueError("one of entry_m and target_m in it: expected both, or neither")
+    points_m = [
+        plan.translation_m,
+        plan.entry_m or (0.0,) * 3,
+        plan.target_m or (0.0,) * 3,
+    ]
+    if np.abs(points_m).max() >= max_coordinate_m:
+        raise ValueError(
+            f"a place beyond {max_coordinate_m:g} m in it: expected metres, not "
+            "millimetres"
+        )
+    if plan.entry_m is None:
+        return None
+    if plan.entry_m == plan.target_m:
+        raise ValueError(f"entry_m and target_m are the same point {plan.entry_m}")
+    return np.array([plan.entry_m, plan.target_m])
+
+
+def _checked_registration(plan: _PlanFile) -> Registration:
     """Return where the patient lies in the robot's base."""
+    rotation_tolerance = 1e-3  # by so much rows may miss being orthonormal
+    max_rounding = 1e-12  # so negative a variance may be: it is written in decimals
+    rotation = np.array(plan.rotation or np.eye(3))
+    is_orthonormal = rotation.shape == (3, 3) and np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=rotation_tolerance
+    )
+    if not is_orthonormal or np.linalg.det(rotation) < 0.0:
+        raise ValueError(
+            f"rotation is {rotation.tolist()}: expected orthonormal rows, no mirror "
+            "image"
+        )
+    if plan.covariance:
+        if {len(plan.covariance), *map(len, plan.covariance)} != {6}:
+            raise ValueError("covariance in it is not 6 x 6")
+        covariance = np.array(plan.covariance)
+        least = np.linalg.eigvalsh(covariance)[0]
+        if not np.allclose(covariance, covariance.T) or least < -max_rounding:
+            raise ValueError("covariance in it is not symmetric and positive")
     return Registration(
-        rotation=_checked_rotation(plan),
+        rotation=rotation,
         translation_m=np.array(plan.translation_m),
         covariance=np.array(plan.covariance),
         pivot_m=np.array(plan.pivot_m),
@@ -294,59 +351,51 @@ def _registration_of(plan: _PlanFile) -> Registration:
     )
 
 
+def _require_registered(
+    plan: _PlanFile, registration: Registration, ends_m: Array | None
+) -> None:
+    """Refuse a plan of `needleforce plan` that is not registered as it stands."""
+    if plan.version != PLAN_VERSION or plan.made_of is None:
+        raise ValueError(
+            f"it has version {plan.version}, or does not say what it was made of: "
+            f"expected version {PLAN_VERSION}, as `needleforce plan` writes it"
+        )
+    place = plan.registration
+    is_named = plan.ct and plan.labels
+    if ends_m is None or place is None or not is_named or not plan.covariance:
+        raise ValueError(
+            "it does not say where the patient lies in the robot's base, or names no "
+            "CT and labels: expected the plan that `needleforce register --plan` writes"
+        )
+    for name, point_m, place_m, error_m in (
+        ("entry", ends_m[0], place.entry_in_base_m, place.entry_error_rms_m),
+        ("target", ends_m[1], place.target_in_base_m, place.target_error_rms_m),
+    ):
+        is_there = np.allclose(registration.to_robot(point_m), place_m, atol=1e-4)
+        if not is_there or not np.isclose(registration.tre_m(point_m), error_m, 0.01):
+            raise ValueError(
+                f"its {name} was registered elsewhere, or with another error: path or "
+                "registration were changed; register again with `needleforce register`"
+            )
+
+
+def _path_of(plan: _PlanFile, registration: Registration, ends_m: Array) -> PlannedPath:
+    """Return the planned path in the robot's base."""
+    if plan.covariance:
+        path = PlannedPath.of_registration(registration, *ends_m)
+    else:
+        entry_m, target_m = registration.to_robot(ends_m)
+        path = PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
+    return replace(path, tolerance_m=plan.margin_m)
+
+
 def _space_of(plan: _PlanFile) -> FreeSpace:
     """Return what must stay free around the needle."""
-    return FreeSpace(plan.needle_radius_m, plan.margin_m, _largest_std_m(plan))
-
-
-def _surroundings_of(
-    plan: _PlanFile, labels: Labels | None
-) -> NeedleSurroundings | None:
-    """Return the structures at risk around the path; None without labels and path."""
-    if labels is None or plan.entry_m is None or plan.target_m is None:
-        return None
-    return NeedleSurroundings(
-        labels,
-        _registration_of(plan),
-        plan.entry_m,
-        plan.target_m,
-        _space_of(plan),
-        leave_out=(plan.target, *plan.accepted_obstacles),
-    )
-
-
-def _largest_std_m(plan: _PlanFile) -> float:
-    """Return the largest deviation of the registration at entry and target."""
-    if not plan.covariance or plan.entry_m is None or plan.target_m is None:
-        return plan.offset_std_m
-    registration = _registration_of(plan)
-    return registration.largest_std_m(np.array([plan.entry_m, plan.target_m]))
-
-
-def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
-    """Return the planned path in the robot's base; None without entry and target."""
-    # By so much a variance may be negative: it is written in decimals
-    max_rounding = 1e-12
-    if scene.entry_m is None or scene.target_m is None:
-        return None
-    entry_m = scene.to_robot(scene.entry_m)
-    target_m = scene.to_robot(scene.target_m)
-    if not plan.covariance:
-        path = PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
-        return replace(path, tolerance_m=plan.margin_m)
-    if {len(plan.covariance), *map(len, plan.covariance)} != {6}:
-        raise ValueError("covariance in it is not 6 x 6")
-    covariance = np.array(plan.covariance)
-    least = np.linalg.eigvalsh(covariance)[0]
-    if not np.allclose(covariance, covariance.T) or least < -max_rounding:
-        raise ValueError("covariance in it is not symmetric and positive")
-    return PlannedPath(
-        entry_m,
-        target_m,
-        covariance,
-        np.array(plan.pivot_m),
-        tolerance_m=plan.margin_m,
-    )
+    std_m = plan.offset_std_m
+    if plan.covariance:
+        ends_m = np.array([plan.entry_m, plan.target_m])
+        std_m = _checked_registration(plan).largest_std_m(ends_m)
+    return FreeSpace(plan.needle_radius_m, plan.margin_m, std_m)
 
 
 def _check_obstacles(
@@ -389,128 +438,43 @@ def _check_obstacles(
     return [*warnings, labels.unchecked] if labels.unchecked else warnings
 
 
-def _require_metres(plan: _PlanFile) -> None:
-    """Refuse one end of the path without the other, and places in millimetres."""
-    max_coordinate_m = 10.0  # A larger coordinate is not in metres [m]
-    if (plan.entry_m is None) != (plan.target_m is None):
-        raise ValueError("one of entry_m and target_m in it: expected both, or neither")
-    points = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
-    coordinates_m = [coordinate for point in points for coordinate in point]
-    if not all(abs(coordinate) < max_coordinate_m for coordinate in coordinates_m):
-        raise ValueError(
-            f"a place beyond {max_coordinate_m:g} m in it: expected metres, not "
-            "millimetres"
-        )
-
-
-def _require_registration(plan: _PlanFile) -> None:
-    """Refuse a plan of `needleforce plan` that was not registered."""
-    if plan.version not in (0, PLAN_VERSION):
-        raise ValueError(
-            f"it has version {plan.version}: expected {PLAN_VERSION}, as "
-            "`needleforce plan` writes it; earlier ones do not say what CT and labels "
-            "they were made of"
-        )
-    if plan.version and plan.made_of is None:
-        raise ValueError(
-            "it does not say what it was made of (made_of): plan again with "
-            "`needleforce plan`, and register"
-        )
-    if plan.version and plan.rotation is None:
-        raise ValueError(
-            "it does not say where the patient lies in the robot's base: expected the "
-            "plan that `needleforce register --plan` writes"
-        )
-    if plan.version and plan.entry_m is not None and plan.target_m is not None:
-        check_registration(
-            plan.registration,
-            _registration_of(plan),
-            np.array(plan.entry_m),
-            np.array(plan.target_m),
-        )
-
-
-def _anatomy_of(
-    plan: _PlanFile, folder: Path, progress: Callable[[float], None]
-) -> _Anatomy:
-    """Return the scene of a plan, and the labels beside it.
-
-    Surfaces are those of the labels in a folder, and so are the layers between entry
-    and target where the plan has none.
-    """
-    rotation = _checked_rotation(plan)
-    translation_m = np.array(plan.translation_m)
-    if plan.entry_m is None or plan.target_m is None:
-        if not plan.layers:
-            raise ValueError(MISSING_PATH)
-        return _Anatomy(PlanScene(rotation=rotation, translation_m=translation_m))
-    entry_m = np.array(plan.entry_m)
-    target_m = np.array(plan.target_m)
-    if np.array_equal(entry_m, target_m):
-        raise ValueError(
-            f"entry_m and target_m are the same point {list(plan.entry_m)}"
-        )
-    scene = PlanScene((), (), entry_m, target_m, rotation, translation_m)
-    file = _find_labels(plan, folder)
-    if file is None:
-        if not plan.layers:
-            raise ValueError(MISSING_LAYERS)
-        return _Anatomy(scene)
-    labels, scan, warnings = _read_files(plan, file, folder)
-    if scan is not None:
-        scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
-    surfaces = _large_surfaces(labels, progress)
-    layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
-    return _Anatomy(
-        scene._replace(surfaces=surfaces, layers=layers), labels, tuple(warnings)
-    )
-
-
-def _read_files(
-    plan: _PlanFile, file: Path, folder: Path
-) -> tuple[Labels, Volume | None, list[str]]:
-    """Return labels and CT, if there is one, and what has changed in them.
+def _read_anatomy(
+    plan: _PlanFile, folder: Path, ends_m: Array, layers: Sequence[Layer]
+) -> tuple[Labels | None, Volume | None, list[str]]:
+    """Return labels and CT beside a plan, if there are any, and warnings of them.
 
     Args:
         plan: The plan.
-        file: The labels.
-        folder: Where the plan lies.
+        folder: Where it lies.
+        ends_m: Its entry and target.
+        layers: Those that it states.
+
+    Raises:
+        ValueError: They are not those that the plan was made of.
     """
+    beside = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
+    files = [folder / plan.labels] if plan.labels else beside
+    scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
+    if not files:
+        return None, None, []
     names = plan.structures or None
     if isinstance(names, str):
         names = folder / names
-    labels = read_labels(file, names, situs_inversus=plan.situs_inversus)
-    if plan.made_of is not None and not plan.ct:
-        raise ValueError("it does not name its CT (ct)")
-    scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
+    labels = read_labels(files[0], names, situs_inversus=plan.situs_inversus)
     if not scans:
         return labels, None, []
     scan = read_volume(scans[0])
-    warnings = _check_made_of(plan, scan, labels)
-    return labels.checked_against(scan).with_dense(scan), scan, warnings
-
-
-def _check_made_of(plan: _PlanFile, scan: Volume, labels: Labels) -> list[str]:
-    """Return what has changed since a plan was made; refuse what does not fit."""
+    warnings: list[str] = []
     if plan.made_of is None:
-        return ["the plan does not say what CT and labels it was made of: not checked"]
-    entry_m = np.array(plan.entry_m)
-    target_m = np.array(plan.target_m)
-    path_sum = path_sha256(
-        entry_m,
-        target_m,
-        [(layer.name, layer.exit_m) for layer in plan.layers],
-        plan.needle_radius_m,
-        plan.margin_m,
-    )
-    return check_files(
-        plan.made_of,
-        scan,
-        labels,
-        path_sum=path_sum,
-        path=(entry_m, target_m),
-        layers=_planned_layers(plan),
-    )
+        warnings = ["the plan does not say what it was made of: not checked"]
+    elif plan.made_of.sha256 != hash_sources(
+        scan, labels, ends_m, layers, _space_of(plan)
+    ):
+        raise ValueError(
+            "CT, labels, path, layers or needle are not those that it was made of: "
+            "plan again with `needleforce plan`, and register"
+        )
+    return labels.checked_against(scan).with_dense(scan), scan, warnings
 
 
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
@@ -530,31 +494,10 @@ def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
     return Volume(part.copy(), Grid(part.shape, origin_m, scan.grid.axes_m))
 
 
-def _find_labels(plan: _PlanFile, folder: Path) -> Path | None:
-    """Return the segmentation that a plan names, or the one beside it, if any."""
-    if plan.labels:
-        return folder / plan.labels
-    beside = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    return beside[0] if beside else None
-
-
-def _checked_rotation(plan: _PlanFile) -> Array:
-    """Return the rotation of a plan, shape (3, 3)."""
-    rotation = np.array(plan.rotation or NO_ROTATION)
-    is_orthonormal = np.allclose(
-        rotation @ rotation.T, np.eye(3), atol=ROTATION_TOLERANCE
-    )
-    if not is_orthonormal or np.linalg.det(rotation) < 0.0:
-        raise ValueError(
-            f"rotation is {rotation.tolist()}: expected orthonormal rows, no mirror "
-            "image"
-        )
-    return rotation
-
-
 def large_structures(labels: Labels) -> list[str]:
     """Return the names of the structures that are large enough to be shown."""
-    return [item.name for item in labels.structures if item.voxels >= MIN_VOXELS]
+    min_voxels = 500
+    return [item.name for item in labels.structures if item.voxels >= min_voxels]
 
 
 def _large_surfaces(

@@ -16,7 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -80,14 +80,15 @@ class Recorder:
         self._overwrites = overwrites
         self._chunk: list[tuple[float, ArmReading]] = []
         self._fields: list[str] = []
-        self._waiting: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+        self._waiting: SimpleQueue[list[tuple[float, ArmReading]]] = SimpleQueue()
         self._error: Exception | None = None
-        self._written_s = 0.0  # stamp of the latest row in the file
         self._thread = Thread(target=self._write, daemon=True)
         self._usual_interval_s = sys.getswitchinterval()
 
     def put(self, sample: ArmReading) -> None:
         """Take a sample, in microseconds."""
+        # What has not been handed over is lost if this process is killed.
+        max_held_s = 0.045
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:
             raise RecorderError(
@@ -98,45 +99,26 @@ class Recorder:
         self.time_s += sample.dt_s if self.rows else 0.0
         self.rows += 1
         self._chunk.append((self.time_s, sample))
-        # What has not been handed over is lost if this process is killed.
-        max_held_s = 0.05
-        held_s = self.time_s - self._chunk[0][0] + sample.dt_s
-        if held_s > max_held_s - 0.5 * sample.dt_s:
+        if self.time_s - self._chunk[0][0] >= max_held_s:
             self._hand_over()
-            self._raise_error()
-
-    def _raise_error(self) -> None:
-        """Raise what has gone wrong in the thread, if anything."""
-        if self._error is not None:
-            raise self._error
+            if self._error is not None:
+                raise self._error
 
     def _hand_over(self) -> None:
-        """Give the samples that were put to the thread."""
-        if not self._chunk:
-            return
-        times_s, samples = zip(*self._chunk, strict=True)
+        """Give the samples that were put to the thread; none end it."""
+        self._waiting.put(self._chunk)
         self._chunk = []
-        columns: dict[str, Any] = {"t_s": np.array(times_s)}
-        for field in self._fields:
-            columns[COLUMNS[field]] = np.array(
-                [getattr(sample, field) for sample in samples]
-            )
-        self._waiting.put(columns)
 
-    def _load_writer(self) -> None:
-        """Import what the format needs, by writing a row that is thrown away.
-
-        It takes a second, in which the loop would wait.
-        """
-        joints = len(self._labels.joint_names)
-        row = {"t_s": np.zeros(1), "q_rad": np.zeros((1, joints))}
-        # To standard output: CSV.
+    def __enter__(self) -> Self:
+        # What the format needs is imported by writing a row that is thrown away: later
+        # the loop would wait for it, a second.
+        row = {
+            "t_s": np.zeros(1),
+            "q_rad": np.zeros((1, len(self._labels.joint_names))),
+        }
         writer = WRITERS.get(self._path.suffix.lower(), csv_writer)
         with writer(BytesIO(), self._labels, row) as append:
             append(row)
-
-    def __enter__(self) -> Self:
-        self._load_writer()
         # The loop waits so long for the thread at most, a tenth of its cycle.
         interval_s = 1e-4
         sys.setswitchinterval(interval_s)
@@ -144,16 +126,19 @@ class Recorder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._chunk:
+            self._hand_over()
         self._hand_over()
-        self._waiting.put(None)
         self._thread.join()
         sys.setswitchinterval(self._usual_interval_s)
-        if kind is None:
-            self._raise_error()
+        if kind is None and self._error is not None:
+            raise self._error
 
     def _write(self) -> None:
-        """Write what is handed over until None comes; runs in the thread."""
-        leave_real_time()
+        """Write what is handed over until nothing comes; runs in the thread."""
+        # A thread inherits the priority of the loop, which is real time.
+        with suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         try:
             with open_table(
                 self._path,
@@ -161,22 +146,12 @@ class Recorder:
                 overwrites=self._overwrites,
                 labels=lambda: self._labels,
             ) as table:
-                while (columns := self._waiting.get()) is not None:
+                for chunk in iter(self._waiting.get, []):
+                    times_s, samples = zip(*chunk, strict=True)
+                    columns = {"t_s": np.array(times_s)}
+                    for field in self._fields:
+                        signal = [getattr(sample, field) for sample in samples]
+                        columns[COLUMNS[field]] = np.array(signal)
                     table.append(columns)
-                    self._written_s = columns["t_s"][-1]
-        except NeedleforceError as error:
-            is_growing = self._path.suffix.lower() in (".csv", ".mcap")
-            held_s = self._written_s if is_growing else 0.0
-            self._error = error
-            if self._written_s > 0.0:
-                self._error = error.reworded(
-                    f"{error}; {held_s:.3f} s of the recording are in it"
-                )
         except Exception as error:
             self._error = error
-
-
-def leave_real_time() -> None:
-    """Go on with ordinary priority: a thread inherits that of the loop."""
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

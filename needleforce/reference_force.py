@@ -2,25 +2,16 @@
 
 import math
 from collections import deque
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array
 from residual import Status, WrenchEstimate
 from residual.tool_kinematics import unit_axis
 
-
-class ForceSensor(Protocol):
-    """A sensor between flange and tool, as `needleforce.devices.NetFT`."""
-
-    def read(self) -> Array | None:
-        """Return the newest force [N] and torque [Nm], shape (6,), in its axes.
-
-        None if nothing came.
-        """
-        ...
+if TYPE_CHECKING:
+    from needleforce.devices import NetFT
 
 
 class ReferenceForce:
@@ -40,7 +31,7 @@ class ReferenceForce:
         count: Ticks that were compared: those with a reading and a valid estimate.
     """
 
-    def __init__(self, sensor: ForceSensor, axis: ArrayLike = (0.0, 0.0, 1.0)) -> None:
+    def __init__(self, sensor: "NetFT", axis: ArrayLike = (0.0, 0.0, 1.0)) -> None:
         # Number of readings whose mean is the zero: half a second at 1 kHz
         zero_readings = 500
         self._axis = unit_axis(axis)

@@ -62,10 +62,6 @@ class RewindingIdentifier:
         self.identifier.reset()
         self._stand_at(self.identifier.snapshot(), time_s, time_s)
 
-    def resume(self, snapshot: IdentifierSnapshot, time_s: float) -> None:
-        """Go on from a state of the identifier, without a way back."""
-        self.go_back(snapshot, time_s, time_s)
-
     def date(self, time_s: float) -> None:
         """Count unused time from now on, where no sample was used since the begin."""
         self._stand_at(self.checkpoints.newer.identifier, time_s, time_s)
@@ -98,10 +94,9 @@ class RewindingIdentifier:
     def restore(
         self, snapshot: IdentifierSnapshot, checkpoints: Checkpoints, unused_s: float
     ) -> None:
-        """Continue from a snapshot; refused as `Identifier.restore` refuses it."""
-        self.identifier.restore(snapshot)
-        self._stand_at(snapshot, 0.0, unused_s)
-        self.last = snapshot.last.without_events()
+        """Continue from a snapshot that this identifier takes."""
+        self.go_back(snapshot, 0.0, unused_s)
+        self.end_events()
         self.checkpoints = checkpoints
 
     def move_zero(self, moved_m: float, time_s: float) -> None:
@@ -112,7 +107,8 @@ class RewindingIdentifier:
             time_s: Now.
         """
         unused_s = self.unused_s
-        self.resume(count_depth_from(self.identifier.snapshot(), moved_m), time_s)
+        moved = count_depth_from(self.identifier.snapshot(), moved_m)
+        self.go_back(moved, time_s, time_s)
         self.unused_s = unused_s
 
     def use(

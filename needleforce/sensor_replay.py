@@ -30,7 +30,6 @@ from residual.bias.model import Tare
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench_estimator import COMPONENTS
 from urdf import Robot
 
 AUTOMATIC_TARE_S = 2.0
@@ -60,6 +59,10 @@ class TareWindow(NamedTuple):
         return f"{self.start_s:.12g} to {self.end_s:.12g} s"
 
 
+NO_WINDOW = TareWindow(np.nan, np.nan)
+"""Where a log is not tared: no time is within it."""
+
+
 def describe_rejections(rejected: Counter[str]) -> str:
     """Return how many samples were rejected, and for which reasons; empty if none."""
     reasons = "; ".join(f"{count} x {text}" for text, count in rejected.most_common(4))
@@ -85,7 +88,6 @@ class SensorReplay:
         rejected: How many samples were rejected, by reason.
         doubts: The latest message about velocities that are no rates, and the latest
             about signals that may be missing or in degrees, if there were any.
-        longest_gap_s: The longest time between two valid samples [s].
     """
 
     rows: pd.DataFrame
@@ -95,51 +97,39 @@ class SensorReplay:
     tare: Tare | None
     rejected: Counter[str]
     doubts: tuple[str, ...]
-    longest_gap_s: float
 
 
 class _LogTare:
-    """Starts the tare recording and takes the tare when their times come.
+    """Starts the recording of a tare and takes it when their times come.
 
     Args:
         sensor: The sensor that is tared.
-        rejected: Reasons for which samples were rejected, counted by the caller.
         window: Where it is tared; None for the first free motion.
-        first_s: Time of the log's first row [s].
         ignore_contact: Whether a tare is taken where contact is seen.
 
     Attributes:
         window: Where it is tared.
         tare: The tare; None before it was taken.
-        is_wanted: Whether one is taken at all.
     """
 
     def __init__(
         self,
         sensor: VirtualForceSensor,
-        rejected: Counter[str],
         window: TareWindow | None,
-        first_s: float,
         ignore_contact: bool,
     ) -> None:
-        self.window = TareWindow(first_s, np.inf)
+        self.window = window or TareWindow(-np.inf, np.inf)
         self.tare: Tare | None = None
-        self.is_wanted = True
         self._sensor = sensor
-        self._rejected = rejected
         self._ignore_contact = ignore_contact
         self._must_start = window is not None
-        if window is not None:
-            self.window = window._replace(start_s=max(window.start_s, first_s))
 
     def before(self, time_s: float) -> None:
         """Start the recording or take the tare, before the sample of this time [s]."""
-        if not self.is_wanted or self.tare is not None:
-            return
         if self._must_start and time_s >= self.window.start_s:
             self._sensor.start_tare_recording()
             self._must_start = False
-        if time_s > self.window.end_s:
+        if self.tare is None and time_s > self.window.end_s:
             self._take()
 
     def after(self, time_s: float, status: Status) -> None:
@@ -149,27 +139,22 @@ class _LogTare:
 
     def finish(self, last_s: float) -> None:
         """Take a tare whose window ends with the log, at this time [s]."""
-        if not self.is_wanted or self.tare is not None:
-            return
         if last_s < self.window.end_s:
             raise ReplayError(
                 "the log ends before the filters have settled and "
                 f"{AUTOMATIC_TARE_S:g} s of free motion were seen, so it cannot be "
-                f"tared{self._rejections}"
+                "tared"
             )
-        self._take()
+        if self.tare is None:
+            self._take()
 
     def _take(self) -> None:
+        """Take the tare; a refusal names the window."""
         try:
             self.tare = self._sensor.tare(ignore_contact=self._ignore_contact)
         except TareError as error:
-            text = f"no tare from {self.window}: {error}{self._rejections}"
+            text = f"no tare from {self.window}: {error}"
             raise error.reworded(text) from error
-
-    @property
-    def _rejections(self) -> str:
-        text = describe_rejections(self._rejected)
-        return f"; samples were rejected, {text}" if text else ""
 
 
 def replay_sensor(
@@ -204,54 +189,44 @@ def replay_sensor(
     progress_rows = 2000  # rows between two calls of `progress`
     require_joints(log["q_rad"], robot)
     times_s = log.t_s.tolist()
-    _require_inside(window, times_s)
-
+    if window is not None:
+        _require_inside(window, times_s)
+        window = window._replace(start_s=max(window.start_s, times_s[0]))
     sensor = VirtualForceSensor(robot, config)
+    log_tare = _LogTare(sensor, window if is_tared else NO_WINDOW, ignore_contact)
     update = _update_of(log, sensor)
+    names = _names_of(config)
+    numbers = np.full((len(times_s), len(names)), np.nan)
+    codes = np.zeros((len(times_s), 2), dtype=np.int64)
+    after_gap = np.zeros(len(times_s), dtype=bool)
     rejected = Counter[str]()
-    log_tare = _LogTare(sensor, rejected, window, times_s[0], ignore_contact)
-    log_tare.is_wanted = is_tared
     doubts: dict[str, str] = {}
-    longest_gap_s = 0.0
-
-    count = len(times_s)
-    steps_s = log.dt_s.tolist()
-    numbers = np.full((count, 5), np.nan)
-    wrench = np.full((count, 6), np.nan)
-    std = np.full((count, COMPONENTS[config.mode]), np.nan)
-    codes = np.zeros((count, 3), dtype=np.int64)
-    for row, time_s in enumerate(times_s):
+    for row, (time_s, step_s) in enumerate(
+        zip(times_s, log.dt_s.tolist(), strict=True)
+    ):
         log_tare.before(time_s)
-        estimate = update(row, steps_s[row])
-        codes[row, 0] = STATUS_CODES[estimate.status]
-        codes[row, 1] = int(estimate.warnings)
+        estimate = update(row, step_s)
+        codes[row] = STATUS_CODES[estimate.status], int(estimate.warnings)
         if estimate.status is Status.REJECTED:
             rejected[estimate.message.split(";")[0]] += 1
             continue
         log_tare.after(time_s, estimate.status)
         doubts |= _doubt_of(estimate, sensor)
-        elapsed_s = sensor.elapsed_s
-        longest_gap_s = max(longest_gap_s, elapsed_s)
-        codes[row, 2] = elapsed_s > config.max_gap_s + ROUNDING_S
-        numbers[row] = (
-            estimate.axial,
-            estimate.axial_std,
-            estimate.axial_unsmoothed,
-            sensor.std_of_bias_N(estimate),
-            estimate.model_mismatch,
-        )
-        wrench[row, :3] = estimate.force
-        wrench[row, 3:] = estimate.torque
-        std[row] = np.sqrt(estimate.covariance.diagonal())
+        after_gap[row] = sensor.elapsed_s > config.max_gap_s + ROUNDING_S
+        numbers[row] = _numbers_of(estimate, sensor, config.mode)
         if row % progress_rows == 0:
-            progress(row / count)
-
-    log_tare.finish(times_s[-1])
+            progress(row / len(times_s))
+    if is_tared:
+        log_tare.finish(times_s[-1])
     if log.left_out:
         rejected["bad time stamp"] += log.left_out
-    rows = _table_of(log.t_s, numbers, wrench, std, codes, config)
     tool = ToolKinematics(robot, config.frame, config.insertion_axis)
+    rows = pd.DataFrame(numbers, columns=names)
+    rows.insert(0, "t_s", log.t_s)
     rows.insert(1, "travel_m", travel_along_needle(tool, log["q_rad"]))
+    rows["force_warnings"] = codes[:, 1]
+    rows["force_status"] = codes[:, 0]
+    rows["after_gap"] = after_gap
     return SensorReplay(
         rows=rows,
         sensor=sensor,
@@ -260,7 +235,6 @@ def replay_sensor(
         tare=log_tare.tare,
         rejected=rejected,
         doubts=tuple(doubts.values()),
-        longest_gap_s=longest_gap_s,
     )
 
 
@@ -284,49 +258,55 @@ def _update_of(
             q_rad[row], None, external_Nm[row], step_s
         )
     tau_Nm = log["tau_Nm"]
-    if "dq_rad_s" not in log:
-        return lambda row, step_s: sensor.update(q_rad[row], None, tau_Nm[row], step_s)
-    dq_rad_s = log["dq_rad_s"]
+    dq_rad_s = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q_rad)
     return lambda row, step_s: sensor.update(
         q_rad[row], dq_rad_s[row], tau_Nm[row], step_s
     )
 
 
-def _table_of(
-    t_s: Array,
-    numbers: Array,
-    wrench: Array,
-    std: Array,
-    codes: np.ndarray,
-    config: SensorConfig,
-) -> pd.DataFrame:
-    """Return the columns of `SensorReplay.rows` but the travel, in their order."""
-    columns: dict[str, np.ndarray] = {
-        "t_s": t_s,
-        "axial_N": numbers[:, 0],
-        "axial_std_N": numbers[:, 1],
+VECTORS = {
+    "axial": {"force": "N"},
+    "point": {"force": "N", "force_std": "N"},
+    "full": {"force": "N", "force_std": "N", "torque": "Nm", "torque_std": "Nm"},
+}
+"""Vectors that a mode estimates, with their units, in the order of their columns."""
+
+
+def _names_of(config: SensorConfig) -> list[str]:
+    """Return the names of what `_numbers_of` returns."""
+    vectors = [
+        f"{vector}_{axis}_in_{config.axes}_{unit}"
+        for vector, unit in VECTORS[config.mode].items()
+        for axis in "xyz"
+    ]
+    unsmoothed = ["axial_unsmoothed_N", "axial_unsmoothed_std_N", "model_mismatch"]
+    return ["axial_N", "axial_std_N", *vectors, *unsmoothed]
+
+
+def _numbers_of(
+    estimate: WrenchEstimate, sensor: VirtualForceSensor, mode: str
+) -> list[float]:
+    """Return the numbers of an estimate, in the order of `_names_of`."""
+    std = np.sqrt(estimate.covariance.diagonal())
+    of_vector = {
+        "force": estimate.force,
+        "force_std": std[:3],
+        "torque": estimate.torque,
+        "torque_std": std[3:],
     }
-    vectors = {"force": "N"} | ({"torque": "Nm"} if config.mode == "full" else {})
-    for number, (vector, unit) in enumerate(vectors.items()):
-        parts = {f"{vector}_": wrench[:, 3 * number :]}
-        if config.mode != "axial":
-            parts[f"{vector}_std_"] = std[:, 3 * number :]
-        for prefix, values in parts.items():
-            for axis, component in zip("xyz", values.T, strict=False):
-                columns[f"{prefix}{axis}_in_{config.axes}_{unit}"] = component
-    columns["axial_unsmoothed_N"] = numbers[:, 2]
-    columns["axial_unsmoothed_std_N"] = numbers[:, 3]
-    columns["model_mismatch"] = numbers[:, 4]
-    columns["force_warnings"] = codes[:, 1]
-    columns["force_status"] = codes[:, 0]
-    columns["after_gap"] = codes[:, 2] > 0
-    return pd.DataFrame(columns)
+    vectors = [of_vector[name] for name in VECTORS[mode]]
+    return [
+        estimate.axial,
+        estimate.axial_std,
+        *np.concatenate(vectors).tolist(),
+        estimate.axial_unsmoothed,
+        sensor.std_of_bias_N(estimate),
+        estimate.model_mismatch,
+    ]
 
 
-def _require_inside(window: TareWindow | None, times_s: list[float]) -> None:
+def _require_inside(window: TareWindow, times_s: list[float]) -> None:
     """Refuse a window that ends before it starts, or lies outside the log."""
-    if window is None:
-        return
     first_s = times_s[0]
     last_s = times_s[-1]
     if not (window.start_s < window.end_s and first_s < window.end_s <= last_s):
@@ -368,13 +348,12 @@ def travel_along_needle(tool: ToolKinematics, q_rad: Array) -> Array:
     """
     travel_m = np.full(len(q_rad), np.nan)
     finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1))
-    start_m = np.zeros(3)
+    places_m = np.empty((len(finite), 3))
     axis = np.zeros(3)
-    for row in finite.tolist():
+    for number, row in enumerate(finite):
         tool.update(q_rad[row])
-        place_m = tool.pose[:3, 3]
-        if row == finite[0]:
-            start_m = place_m
-            axis = tool.axis_in_base
-        travel_m[row] = axis.dot(place_m - start_m)
+        places_m[number] = tool.pose[:3, 3]
+        if number == 0:
+            axis = tool.axis_in_base.copy()
+    travel_m[finite] = (places_m - places_m[:1]) @ axis
     return travel_m

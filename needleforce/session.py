@@ -6,32 +6,27 @@ ruptures, layers and the tip force to `identification`.
 """
 
 import math
-import numbers
 from copy import deepcopy
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array
+from foundation.state import SAME_KIND, SAME_SETTINGS
 from identification import MIXTURE as DEFAULT_IDENTIFIER
-from identification import Estimate, LayerEstimate, MixtureConfig, PublishedConfig
+from identification import (
+    Estimate,
+    Identifier,
+    LayerEstimate,
+    MixtureConfig,
+    PublishedConfig,
+)
 from needleforce.insertion_course import MAX_TRAVEL_IN_LAG_M, InsertionCourse
 from needleforce.needle_channels import ChannelState
-from needleforce.needle_on_plan import (
-    PlanDeviation,
-    PlannedEntry,
-    PlannedPath,
-    Surroundings,
-)
-from needleforce.plan_follower import Plan, PlanFollower
+from needleforce.needle_on_plan import PlanDeviation, PlannedPath
+from needleforce.plan_follower import PlanFollower
 from needleforce.rewinding import RewindingIdentifier
 from needleforce.session_event import SessionEvent
-from needleforce.session_snapshot import (
-    InsertionError,
-    SessionSnapshot,
-    check_snapshot,
-)
+from needleforce.session_snapshot import InsertionError, SessionSnapshot
 from needleforce.tip_travel import TravelZero
 from needleforce.zero_watch import ZeroWatch
 from residual import DEFAULT as DEFAULT_SENSOR
@@ -47,7 +42,12 @@ from residual.bias.model import Tare
 from urdf import Robot
 
 if TYPE_CHECKING:
-    from needleforce.anatomy import NeedleClearance, PlanState
+    from needleforce.anatomy import (
+        NeedleClearance,
+        NeedleSurroundings,
+        PlanMatch,
+        PlanState,
+    )
 
 UNUSABLE = (
     SensorWarning.JOINT_LIMIT
@@ -65,10 +65,6 @@ With `ARM_PUSHED` alone samples are still used: the force is off only by the par
 looks axial, and a lateral force that begins suddenly raises the warning, too. But no
 rupture is reported then, and no gap ends.
 """
-
-
-class SessionSettingError(InsertionError, ValueError):
-    """A setting that cannot work: the message names it, what came and what is valid."""
 
 
 class SessionEstimate(NamedTuple):
@@ -152,7 +148,7 @@ class InsertionSession:
             on an arm.
 
     Raises:
-        SessionSettingError: For a negative or infinite lag.
+        InsertionError: For a negative or infinite lag.
         residual.ConfigurationError: For settings of the sensor that cannot work.
         identification.IdentificationError: For settings of another kind of identifier.
     """
@@ -167,7 +163,10 @@ class InsertionSession:
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
-        _check_settings(robot, sensor_config, speed_lag_s)
+        if not 0.0 <= speed_lag_s < math.inf:
+            raise InsertionError(
+                f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
+            )
         self._sensor = VirtualForceSensor(robot, sensor_config)
         self.sensor_config = sensor_config
         self._identifier = RewindingIdentifier(identifier_config)
@@ -239,11 +238,8 @@ class InsertionSession:
             reports it.
         """
         was_taring = self._sensor.taring
-        estimate = self._process(self._sensor.update(q, dq, tau, dt_s))
-        if was_taring and self.tared:
-            self._zero_watch.begin_tare()
-            self._needle.begin_where_tared()
-        return estimate
+        wrench = self._sensor.update(q, dq, tau, dt_s)
+        return self._process(wrench, was_taring=was_taring)
 
     def update_external_torque(
         self,
@@ -258,13 +254,8 @@ class InsertionSession:
         in place of the measured one.
         """
         was_taring = self._sensor.taring
-        estimate = self._process(
-            self._sensor.update_external_torque(q, dq, external_torque, dt_s)
-        )
-        if was_taring and self.tared:
-            self._zero_watch.begin_tare()
-            self._needle.begin_where_tared()
-        return estimate
+        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
+        return self._process(wrench, was_taring=was_taring)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -321,39 +312,32 @@ class InsertionSession:
 
     def follow(
         self,
-        plan: Plan | None,
-        entry_in_base_m: ArrayLike | None = None,
+        plan: "PlanMatch | None",
         *,
         path: PlannedPath | None = None,
-        surroundings: Surroundings | None = None,
+        surroundings: "NeedleSurroundings | None" = None,
     ) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
-        With a path every estimate states how far the needle is off it, and an entry
-        alone how far the needle's line passes from it; see `SessionEstimate.deviation`.
+        With a path every estimate states how far the needle is off it; see
+        `SessionEstimate.deviation`.
 
         Args:
             plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
-            entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
-                `Registration.to_robot` gives it; None where the plan's depths count
-                from where the session's do, or with a path.
-            path: The planned path in the robot's base.
+            path: The planned path in the robot's base; None where the plan's depths
+                count from where the session's do.
             surroundings: A `needleforce.anatomy.NeedleSurroundings`; with it and a path
                 every estimate states how near the needle comes to structures at risk.
 
         Raises:
-            SessionSettingError: For anything but a plan, or an entry that is no point.
+            InsertionError: For anything but a plan.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
-            raise SessionSettingError(
+            raise InsertionError(
                 f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy"
             )
-        checked_path: PlannedPath | PlannedEntry | None = path
-        if plan is not None and path is None and entry_in_base_m is not None:
-            entry_m = _checked_entry(entry_in_base_m)
-            checked_path = PlannedEntry(entry_m, plan.offset_std_m)
-        self._needle.plan = PlanFollower(plan, checked_path, surroundings)
-        self._needle.plan.begin(*self.zero)
+        self._needle.plan = PlanFollower(plan, path, surroundings)
+        self._needle.plan.begin(self.zero)
 
     def begin_insertion(self) -> None:
         """Count depth from here and, in free air, forget the layers.
@@ -385,26 +369,18 @@ class InsertionSession:
 
     def snapshot(self) -> SessionSnapshot:
         """Return the complete state of the session; `write_snapshot` stores it."""
-        needle = self._needle
         identifier = self._identifier
-        zero_watch = self._zero_watch
         if identifier.is_save_due:
-            identifier.save(needle.time_s)
+            identifier.save(self._needle.time_s)
         return SessionSnapshot(
             sensor=self._sensor.snapshot(),
             identifier=identifier.identifier.snapshot(),
-            zero=needle.zero,
-            travel=needle.travel,
-            speed_lag_s=self._speed_lag_s,
-            unused_s=identifier.unused_s,
-            jumps=zero_watch.jumps,
-            jump_std_N=zero_watch.jump_std_N,
-            time_s=needle.time_s,
             checkpoints=identifier.checkpoints,
-            insertion=needle.insertion,
-            channels=needle.channels,
-            plan=needle.plan.memory,
-            air=zero_watch.air,
+            unused_s=identifier.unused_s,
+            course=self._needle.state(),
+            plan=self._needle.plan.memory,
+            air=self._zero_watch.air,
+            speed_lag_s=self._speed_lag_s,
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
@@ -413,37 +389,48 @@ class InsertionSession:
         An error changes nothing.
 
         Raises:
-            SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of
-                another speed lag or plan.
+            InsertionError: Not a snapshot of a session, or one of another speed lag or
+                plan.
             residual.SnapshotError: A damaged one, or of another robot or settings of
                 the sensor.
             identification.IdentificationError: One of other settings of the identifier.
         """
-        needle = self._needle
-        plan_state = check_snapshot(
-            snapshot, self.snapshot(), self._identifier_config, needle.plan
-        )
+        if not isinstance(snapshot, SessionSnapshot):
+            raise InsertionError(
+                f"expected a SessionSnapshot, got {type(snapshot).__name__}", SAME_KIND
+            )
+        plan = self._needle.plan
+        for name, stored, own in (
+            ("speed_lag_s", snapshot.speed_lag_s, self._speed_lag_s),
+            ("plan", snapshot.plan.fingerprint, plan.memory.fingerprint),
+        ):
+            if stored != own:
+                raise InsertionError(
+                    f"the snapshot is of {name} {stored!r}, this session has {own!r}",
+                    SAME_SETTINGS,
+                )
+        Identifier(self._identifier_config).restore(snapshot.identifier)
         # The last step that can fail; where it does, the sensor has not changed either.
         self._sensor.restore(snapshot.sensor)
         self._identifier.restore(
             snapshot.identifier, snapshot.checkpoints, snapshot.unused_s
         )
         self._zero_watch.air = snapshot.air
-        self._zero_watch.jumps = snapshot.jumps
-        self._zero_watch.jump_std_N = snapshot.jump_std_N
-        needle.restore(
-            snapshot.zero,
-            snapshot.travel,
-            snapshot.time_s,
-            snapshot.insertion,
-            snapshot.channels,
-            is_started=snapshot.sensor.last is not None,
-        )
-        needle.plan.resume(snapshot.plan, plan_state)
-        if needle.plan.has_path:
-            needle.plan.compare_with(self._sensor.kinematics)
+        is_started = snapshot.sensor.last is not None
+        self._needle.restore(snapshot.course, is_started=is_started)
+        plan.resume(snapshot.plan)
+        if is_started:
+            plan.compare_with(self._sensor.kinematics)
 
-    def _process(self, wrench: WrenchEstimate) -> SessionEstimate:
+    def _process(self, wrench: WrenchEstimate, *, was_taring: bool) -> SessionEstimate:
+        """Identify with a sample, and count depth from here where it ends a tare."""
+        estimate = self._follow_needle(wrench)
+        if was_taring and self.tared:
+            self._zero_watch.begin_tare()
+            self._needle.begin_where_tared()
+        return estimate
+
+    def _follow_needle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Follow the needle and, where the force is usable, identify."""
         sensor = self._sensor
         needle = self._needle
@@ -549,7 +536,7 @@ class InsertionSession:
             plan=plan.reported_state,
             deviation=plan.deviation,
             clearances=plan.clearances,
-            plan_events=plan.take_events() if plan.has_path else (),
+            plan_events=plan.take_events(),
         )
 
 
@@ -563,38 +550,8 @@ def _with_too_fast(wrench: WrenchEstimate, lag_s: float) -> WrenchEstimate:
     reason = "the needle has outrun the force: advance slower"
     if lag_s > 0.0:  # the torques may have come another way when the needle was fast
         max_mm_s = 1e3 * MAX_TRAVEL_IN_LAG_M / lag_s
-        reason = (
-            f"the needle has outrun the force, which is {1e3 * lag_s:.0f} ms late: "
-            f"advance by at most {max_mm_s:.0f} mm/s in tissue"
-        )
-    message = "; ".join(filter(None, (wrench.message, reason)))
-    warnings = wrench.warnings | SensorWarning.TOO_FAST
-    return wrench._replace(warnings=warnings, message=message)
-
-
-def _checked_entry(entry_in_base_m: ArrayLike) -> Array:
-    """Return an entry point as three numbers."""
-    entry_m = np.array(entry_in_base_m, dtype=float)
-    if entry_m.shape != (3,) or not np.isfinite(entry_m).all():
-        raise SessionSettingError(
-            f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers"
-        )
-    return entry_m
-
-
-def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -> None:
-    """Raise `SessionSettingError` for arguments of a session that cannot work."""
-    if not isinstance(robot, Robot):
-        raise SessionSettingError(
-            f"robot is a {type(robot).__name__}, expected a Robot"
-        )
-    if not isinstance(sensor_config, SensorConfig):
-        raise SessionSettingError(
-            f"sensor_config is a {type(sensor_config).__name__}, expected a "
-            "SensorConfig"
-        )
-    is_number = isinstance(speed_lag_s, numbers.Real)
-    if not (is_number and 0.0 <= float(speed_lag_s) < math.inf):
-        raise SessionSettingError(
-            f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
-        )
+        reason += f", by at most {max_mm_s:.0f} mm/s in tissue"
+    return wrench._replace(
+        warnings=wrench.warnings | SensorWarning.TOO_FAST,
+        message="; ".join(filter(None, (wrench.message, reason))),
+    )

@@ -7,7 +7,6 @@ print(estimate.time_s, estimate.identification.tip_force_N)
 
 from collections.abc import Iterator
 from itertools import repeat
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,26 +16,15 @@ from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.tare_run import AutoTare
 
 
-class ReplayedSample(NamedTuple):
-    """A sample of a recording, and what the session made of it.
-
-    Attributes:
-        q_rad: Joint positions, shape (n,).
-        estimate: What the session estimates.
-    """
-
-    q_rad: Array
-    estimate: SessionEstimate
-
-
 def replay_session(
     session: InsertionSession,
     log: Log,
     tare: AutoTare | None = None,
-) -> Iterator[ReplayedSample]:
+) -> Iterator[tuple[Array, SessionEstimate]]:
     """Run a session over a recording of joint signals, sample by sample.
 
-    The first sample has the time step of the second.
+    The first sample has the time step of the second. Yields joint positions, shape
+    (n,), and what the session estimates.
 
     Args:
         session: A session that has seen nothing.
@@ -51,4 +39,4 @@ def replay_session(
     for q_rad, dq_rad_s, tau_Nm, step_s in signals:
         estimate = session.update(q_rad, dq_rad_s, tau_Nm, step_s)
         tare.after(session, estimate)
-        yield ReplayedSample(q_rad, estimate)
+        yield q_rad, estimate

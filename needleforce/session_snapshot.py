@@ -1,30 +1,24 @@
-"""State of a session: what it holds, and which states are refused."""
+"""State of a session, and states in files: of a session, a sensor or an identifier.
 
-from typing import TYPE_CHECKING, NamedTuple
+`foundation.state` writes and reads them bit for bit, with a version and a hash.
+"""
+
+import os
+from typing import NamedTuple
 
 from foundation.errors import NeedleforceError
-from foundation.state import OWN_SNAPSHOT, SAME_KIND, SAME_SETTINGS
-from identification import (
-    IdentificationError,
-    Identifier,
-    MixtureConfig,
-    PublishedConfig,
-)
+from foundation.state import SAME_KIND, StateError, read_sealed_state, seal_state
 from identification import Snapshot as IdentifierSnapshot
-from needleforce.insertion_course import InsertionProgress
-from needleforce.needle_channels import NeedleChannel
-from needleforce.plan_follower import PlanFollower, PlanMemory
+from needleforce.files import whole_file
+from needleforce.insertion_course import CourseState
+from needleforce.plan_follower import PlanMemory
 from needleforce.rewinding import Checkpoints
-from needleforce.tip_travel import TipTravel, TravelZero
 from needleforce.zero_watch import AirWatch
 from residual.virtual_force_sensor import SensorState
 
-if TYPE_CHECKING:
-    from needleforce.anatomy import PlanState
 
-
-class InsertionError(NeedleforceError):
-    """Base of a session's errors.
+class InsertionError(NeedleforceError, ValueError):
+    """A setting, a plan or a snapshot that a session cannot take; nothing has changed.
 
     Errors of `residual` and `identification` pass through a session unchanged.
     """
@@ -35,16 +29,8 @@ class InsertionError(NeedleforceError):
     )
 
 
-class SnapshotMismatchError(InsertionError, ValueError):
-    """A snapshot that cannot be restored here; nothing has changed."""
-
-    usual_advice = "Take an older snapshot, or start and tare anew."
-
-
-class SnapshotFileError(InsertionError, ValueError):
-    """A file that is no snapshot, or one of a version that cannot be read."""
-
-    usual_advice = OWN_SNAPSHOT
+SnapshotFileError = StateError
+"""A file that is no snapshot, is damaged, or of a version that cannot be read."""
 
 
 class SessionSnapshot(NamedTuple):
@@ -53,115 +39,70 @@ class SessionSnapshot(NamedTuple):
     Attributes:
         sensor: State of the virtual sensor.
         identifier: State of the identifier.
-        zero: Where depth counts from.
-        travel: Depth and speed of the tip.
-        speed_lag_s: Setting of the session.
-        unused_s: Time of valid samples that were not used for identification.
-        jumps: Number of jumps of torque sensors that the identifier knows of.
-        jump_std_N: Standard deviation of the axial force due to these jumps; 0 without
-            one.
-        time_s: See `SessionEstimate`.
         checkpoints: States of the identification to rewind to.
-        insertion: Course of this insertion.
-        channels: Those that earlier insertions have cut.
+        unused_s: Time of valid samples that were not used for identification.
+        course: Where the needle is in which insertion, and the channels it has cut.
         plan: State of the plan's follower.
-        air: What the force in free air has shown.
+        air: What shows that the force's zero has changed.
+        speed_lag_s: Setting of the session.
     """
 
     sensor: SensorState
     identifier: IdentifierSnapshot
-    zero: TravelZero
-    travel: TipTravel
-    speed_lag_s: float
-    unused_s: float
-    jumps: int
-    jump_std_N: float
-    time_s: float
     checkpoints: Checkpoints
-    insertion: InsertionProgress
-    channels: tuple[NeedleChannel, ...]
+    unused_s: float
+    course: CourseState
     plan: PlanMemory
     air: AirWatch
+    speed_lag_s: float
 
 
-def check_snapshot(
-    snapshot: SessionSnapshot,
-    here: SessionSnapshot,
-    config: MixtureConfig | PublishedConfig,
-    plan: PlanFollower,
-) -> "PlanState | None":
-    """Refuse a snapshot that does not fit a session, or would fail in later updates.
+AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 
-    The sensor checks its own part.
+_KINDS = {
+    "session": SessionSnapshot,
+    "sensor": SensorState,
+    "identifier": IdentifierSnapshot,
+}
+"""What a file may hold; it says which."""
+
+
+def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
+    """Write the state of a session, of a virtual sensor or of an identifier.
+
+    The file appears whole or not at all.
 
     Args:
-        snapshot: What is to be restored.
-        here: A snapshot of the session.
-        config: Settings of the session's identifier.
-        plan: The session's.
-
-    Returns:
-        The state of the plan that belongs to the snapshot.
+        snapshot: What ``snapshot()`` of one of them returned.
+        path: Where to; an older file of that name is replaced.
 
     Raises:
-        SnapshotMismatchError: No snapshot of a session, a damaged one, or one of
-            another speed lag or plan.
-        IdentificationError: One of other settings of the identifier.
+        SnapshotFileError: For anything but such a state.
+        OSError: If the file cannot be written.
     """
-    _check_kind_and_settings(snapshot, here)
-    try:
-        _check_identifiers(snapshot, config)
-        return plan.evaluate(snapshot.plan)
-    except IdentificationError:
-        raise
-    except Exception as error:  # the parts of a damaged state may raise anything
-        raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
-
-
-def _check_kind_and_settings(snapshot: SessionSnapshot, here: SessionSnapshot) -> None:
-    """Refuse what is no snapshot of a session with these settings and this plan."""
-    if not isinstance(snapshot, SessionSnapshot):
-        raise SnapshotMismatchError(
-            f"expected a SessionSnapshot, got {type(snapshot).__name__}",
+    names = [name for name, kind in _KINDS.items() if type(snapshot) is kind]
+    if not names:
+        raise SnapshotFileError(
+            "expected what snapshot() of a session, a sensor or an identifier returns, "
+            f"got a {type(snapshot).__name__}",
             SAME_KIND,
         )
-    if not (
-        isinstance(snapshot.plan, PlanMemory)
-        and isinstance(snapshot.checkpoints, Checkpoints)
-    ):
-        raise SnapshotMismatchError("the snapshot is damaged: plan or checkpoints")
-    if snapshot.speed_lag_s != here.speed_lag_s:
-        raise SnapshotMismatchError(
-            f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this "
-            f"session has {here.speed_lag_s:g}",
-            SAME_SETTINGS,
-        )
-    if snapshot.plan.fingerprint != here.plan.fingerprint:
-        difference = (
-            "with another plan or entry"
-            if snapshot.plan.fingerprint
-            else "without a plan"
-        )
-        raise SnapshotMismatchError(
-            f"the snapshot is of a session {difference}",
-            "Call `follow` with the plan of the snapshot, or None, before `restore`.",
-        )
+    content = seal_state(snapshot, names[0])
+    with whole_file(path) as file:
+        file.write(content)
 
 
-def _check_identifiers(
-    snapshot: SessionSnapshot, config: MixtureConfig | PublishedConfig
-) -> None:
-    """Restore each state of an identifier in a trial one, and update the last."""
-    trial_step_s = 1e-3  # Time step of these updates
-    trial_updates = 3  # Updates that a restored identifier must survive
-    trial = Identifier(config)
-    trial.restore(snapshot.checkpoints.older.identifier)
-    trial.restore(snapshot.checkpoints.newer.identifier)
-    for channel in snapshot.channels:
-        trial.restore(channel.identifier)
-    if snapshot.insertion.channel is not None:
-        trial.restore(snapshot.insertion.channel.in_air)
-    trial.restore(snapshot.identifier)
-    travel = snapshot.travel
-    for _ in range(trial_updates):
-        trial.update(travel.depth_m, travel.speed_m_s, 0.0, trial_step_s)
+def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
+    """Read a file of `write_snapshot`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The state, for ``restore`` of its kind.
+
+    Raises:
+        SnapshotFileError: If it holds no state, is damaged, or of another version.
+        OSError: If the file cannot be read.
+    """
+    return read_sealed_state(path, _KINDS)

@@ -13,9 +13,6 @@ Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
 """Type of `residual.ToolKinematics.needle`: a plain tuple, for Python passes one to
 compiled code ten times as fast as a named tuple."""
 
-MIN_COSINE = 1e-3
-"""Cosine of an angle that counts as a right one: the lines then miss each other."""
-
 
 class TravelZero(NamedTuple):
     """Point and direction from which depth is counted, in base axes.
@@ -139,87 +136,3 @@ def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
         + (x * b - y * a) * twist[5]
     )
     return speed
-
-
-class PlaceBesideLine(NamedTuple):
-    """Where a needle is beside a line that has a beginning.
-
-    Attributes:
-        height_m: From the beginning to the tip, along the line.
-        aside_m: Distance of the tip from the line.
-        cosine: Of the angle between needle and line.
-    """
-
-    height_m: float
-    aside_m: float
-    cosine: float
-
-
-@compiled_inside
-def place_beside_line(tip: TipPlace, start: Vector, axis: Vector) -> PlaceBesideLine:
-    """Return where a needle is beside a line.
-
-    Args:
-        tip: Of the needle.
-        start: Beginning of the line in the base [m], shape (3,).
-        axis: Direction of the line in base axes, length one, shape (3,).
-    """
-    position = tip.position_m
-    height = 0.0
-    for i in range(3):
-        height += axis[i] * (position[i] - start[i])
-    aside = 0.0
-    for i in range(3):
-        aside += (position[i] - start[i] - height * axis[i]) ** 2
-    return PlaceBesideLine(height, math.sqrt(aside), dot(axis, tip.direction))
-
-
-class LineOffset(NamedTuple):
-    """Where a needle is beside a line with a beginning and a length.
-
-    Attributes:
-        height_m: From the beginning to the tip, along the line.
-        aside_m: Distance of the tip from the line.
-        cosine: Of the angle between the two lines.
-        entry_miss_m: Distance from the beginning to the needle's own line, at right
-            angles to the given one.
-        end_miss_m: The same at the end of the length.
-    """
-
-    height_m: float
-    aside_m: float
-    cosine: float
-    entry_miss_m: float
-    end_miss_m: float
-
-
-@compiled
-def measure_line_offset(
-    start: Vector, axis: Vector, length: float, needle: Needle
-) -> LineOffset:
-    """Return where the needle is beside a line.
-
-    Args:
-        start: Beginning of the line in the base [m], shape (3,).
-        axis: Direction of the line in base axes, length one, shape (3,).
-        length: Length of the line [m].
-        needle: `residual.ToolKinematics.needle`.
-    """
-    position, along = place_tip(needle)
-    height = 0.0
-    for i in range(3):
-        height += axis[i] * (position[i] - start[i])
-    cosine = dot(axis, along)
-    per_height = 1.0 / max(cosine, MIN_COSINE)
-    aside = 0.0
-    at_entry = 0.0
-    at_end = 0.0
-    for i in range(3):
-        lateral = position[i] - start[i] - height * axis[i]
-        slope = per_height * along[i] - axis[i]
-        aside += lateral**2
-        at_entry += (lateral - height * slope) ** 2
-        at_end += (lateral + (length - height) * slope) ** 2
-    return LineOffset(
-        height, math.sqrt(aside), cosine, math.sqrt(at_entry), math.sqrt(at_end)
-    )

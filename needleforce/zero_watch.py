@@ -15,19 +15,23 @@ if TYPE_CHECKING:
 
 
 class AirWatch(NamedTuple):
-    """What the axial force in free air has shown since the tare; immutable.
+    """What shows that the force's zero has changed since the tare; immutable.
 
     Attributes:
-        mean_N: Mean force of late.
+        mean_N: Mean axial force in free air of late.
         odd_s: Time for which it has been no chance.
         quiet_s: Time for which it has been gone.
-        doubt_N: Deviation of the axial force that it has shown; 0 for none.
+        doubt_N: Deviation of the axial force that free air has shown; 0 for none.
+        jumps: Number of jumps of torque sensors that the identifier knows of.
+        jump_std_N: Standard deviation of the axial force due to these; 0 without one.
     """
 
     mean_N: float = 0.0
     odd_s: float = 0.0
     quiet_s: float = 0.0
     doubt_N: float = 0.0
+    jumps: int = 0
+    jump_std_N: float = 0.0
 
     def with_force(self, axial_N: float, std_N: float, dt_s: float) -> "AirWatch":
         """Return the same after a sample in free air.
@@ -59,15 +63,9 @@ class AirWatch(NamedTuple):
             doubt_N = 0.0 if quiet_s > gone_s else max(size_N, std_N)
         elif is_odd and (mean_N < 0.0 or odd_s > max_onset_s):
             doubt_N = size_N
-        return AirWatch(mean_N, odd_s, quiet_s, doubt_N)
-
-    def in_tissue(self) -> "AirWatch":
-        """Return the same where the needle has met tissue: the doubt stays."""
-        return AirWatch(mean_N=self.mean_N, doubt_N=self.doubt_N)
-
-
-FIRST_AIR_WATCH = AirWatch()
-"""After a tare."""
+        return self._replace(
+            mean_N=mean_N, odd_s=odd_s, quiet_s=quiet_s, doubt_N=doubt_N
+        )
 
 
 class ZeroWatch:
@@ -78,9 +76,7 @@ class ZeroWatch:
         identifier: Doubts the zero, and ruptures since then.
 
     Attributes:
-        air: What the force in free air has shown.
-        jumps: Number of jumps that the identifier knows of.
-        jump_std_N: Standard deviation of the axial force due to these; 0 without one.
+        air: What free air and the torque sensors have shown.
     """
 
     def __init__(
@@ -88,17 +84,18 @@ class ZeroWatch:
     ) -> None:
         self._sensor = sensor
         self._identifier = identifier
-        self.begin_tare()
+        self.air = AirWatch()
         self.begin_insertion()
 
     def begin_tare(self) -> None:
         """Forget what free air has shown: the tare takes it out."""
-        self.air = FIRST_AIR_WATCH
+        known = self.air
+        self.air = AirWatch(jumps=known.jumps, jump_std_N=known.jump_std_N)
 
     def begin_insertion(self) -> None:
         """Take all jumps so far for known: the identifier begins with this zero."""
-        self.jumps = self._sensor.jumps
-        self.jump_std_N = self._sensor.jump_std_N
+        sensor = self._sensor
+        self.air = self.air._replace(jumps=sensor.jumps, jump_std_N=sensor.jump_std_N)
 
     def watch(
         self, wrench: WrenchEstimate, elapsed_s: float, *, is_outside: bool
@@ -115,20 +112,19 @@ class ZeroWatch:
         """
         # Within it a changed zero is noticed: a rupture since may be that change
         jump_seen_s = 0.6
-        if self.jumps != self._sensor.jumps:
-            old_std_N = self.jump_std_N
+        before = self.air
+        if before.jumps != self._sensor.jumps:
             self.begin_insertion()
-            doubted_N = max(old_std_N, self.jump_std_N)
+            doubted_N = max(before.jump_std_N, self.air.jump_std_N)
             # The identifier's clock has stood still since samples are not used.
             since_s = max(self._sensor.jump_since_s - self._identifier.unused_s, 0.0)
             self._identifier.identifier.doubt_zero(doubted_N, min(since_s, jump_seen_s))
         if not is_outside:
-            if self.air.odd_s + self.air.quiet_s > 0.0:
-                self.air = self.air.in_tissue()
+            if before.odd_s + before.quiet_s > 0.0:  # the doubt stays
+                self.air = self.air._replace(odd_s=0.0, quiet_s=0.0)
             return
-        was_odd = self.air.doubt_N > 0.0
         self.air = self.air.with_force(wrench.axial, wrench.axial_std, elapsed_s)
-        is_new = self.air.doubt_N > 0.0 and not was_odd
+        is_new = self.air.doubt_N > before.doubt_N == 0.0
         if is_new and self._identifier.contact_m is None:
             self._identifier.identifier.doubt_zero(self.air.doubt_N, jump_seen_s)
 

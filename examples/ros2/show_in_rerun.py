@@ -11,7 +11,7 @@ import sys
 import rerun as rr
 from mcap.reader import make_reader
 
-from needleforce.recordings.bag_topics import standard_types
+from needleforce.recordings.writers import standard_types
 
 M_TO_RADIUS = 0.006
 

@@ -206,7 +206,7 @@ def identify_offline(
     scaled = matrix / scale
     # A difference between columns under 0.1 % is smaller than any linear tissue model
     # is right: singular values below this fraction of the largest count as zero.
-    inverse = np.linalg.pinv(scaled, rcond=1e-3)
+    inverse = np.asarray(np.linalg.pinv(scaled, rcond=1e-3), dtype=np.float64)
     solution = inverse @ forces_N
     parameters = solution / scale
     residual_N = forces_N - scaled @ solution

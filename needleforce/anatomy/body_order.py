@@ -6,15 +6,12 @@ liver right of the spleen, a lung above the bladder, the spine behind the liver.
 
 import re
 from collections.abc import Iterator, Mapping
-from itertools import combinations
-from typing import TYPE_CHECKING
+from itertools import permutations
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import words_of
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
 
 HEAD_TO_FOOT = (
     frozenset(("skull", "brain")),
@@ -30,7 +27,7 @@ FRONT = frozenset(("liver", "heart", "sternum", "stomach", "bladder"))
 SPINE = frozenset(("vertebra", "vertebrae", "spine", "sacrum"))
 
 
-def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> None:
+def require_body_order(labels: Segmentation, *, situs_inversus: bool = False) -> None:
     """Refuse labels whose structures lie the wrong way round.
 
     Args:
@@ -45,60 +42,56 @@ def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> Non
     places_m = {
         item.anatomy.lower(): labels.centroid_m(item.name) for item in labels.structures
     }
+    situs = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
     pairs = set(_expected_pairs(places_m))
-    if {"liver", "spleen"} <= places_m.keys():
-        left, right = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
-        gap_m = places_m[left][0] - places_m[right][0]
-        if gap_m < -min_distance_m:
-            raise VolumeError(
-                f"{left} does not lie left of {right}: left and right are "
-                "exchanged, or the situs inversus is not what was stated"
-            )
-        if gap_m > min_distance_m:
-            pairs.add((0, left, right))
+    if places_m.keys() >= {*situs}:
+        pairs.add((0, situs[0], situs[1]))
     for axis, sides in enumerate(("left and right", "front and back", "head and feet")):
-        gaps_m = [
-            float(places_m[first][axis] - places_m[other][axis])
+        gaps_m = {
+            (first, other): float(places_m[first][axis] - places_m[other][axis])
             for of_axis, first, other in pairs
             if of_axis == axis
-        ]
-        right = sum(gap_m > min_distance_m for gap_m in gaps_m)
-        wrong = sum(gap_m < -min_distance_m for gap_m in gaps_m)
-        if wrong and wrong >= right:
+        }
+        wrong = [names for names, gap_m in gaps_m.items() if gap_m < -min_distance_m]
+        right = sum(gap_m > min_distance_m for gap_m in gaps_m.values())
+        if situs in wrong or (wrong and len(wrong) >= right):
             raise VolumeError(
-                f"{wrong} of {right + wrong} pairs of structures lie the wrong way "
-                f"round: {sides} are exchanged (an axis negated, RAS taken as LPS)"
+                f"{len(wrong)} of {right + len(wrong)} pairs of structures lie the "
+                f"wrong way round, as {' and '.join(wrong[0])}: {sides} are exchanged "
+                "(an axis negated, RAS taken as LPS), or the situs inversus is not "
+                "what was stated"
             )
 
 
 def _expected_pairs(places_m: Mapping[str, Array]) -> Iterator[tuple[int, str, str]]:
     """Yield an axis of LPS, and two names of which the first lies further along it."""
-    for name in places_m:
+    backs = [name for name in places_m if words_of(name) & SPINE]
+    for name, place_m in places_m.items():
         other = name.replace("left", "right")
         if "left" in words_of(name) and other in places_m:
             yield 0, name, other
-    ranks = {
-        name: rank
-        for rank, words in enumerate(HEAD_TO_FOOT)
-        for name in places_m
-        if words_of(name) & words
-    }
-    spine = {name: number for name in places_m if (number := _spine_number(name))}
-    for above in (ranks, spine):
-        for upper, lower in combinations(
-            sorted(above, key=lambda name: above[name]), 2
-        ):
-            if above[upper] < above[lower]:
-                yield 2, upper, lower
-    backs = [name for name in places_m if words_of(name) & SPINE]
-    fronts = [name for name in places_m if backs and words_of(name) & FRONT]
-    for name in fronts:
-        height_m = places_m[name][2]
-        nearest = min(backs, key=lambda one: abs(places_m[one][2] - height_m))
-        yield 1, nearest, name
+        if backs and words_of(name) & FRONT:
+            # The vertebra at its height.
+            yield (
+                1,
+                min(backs, key=lambda one: abs(places_m[one][2] - place_m[2])),
+                name,
+            )
+    ranks = {name: _rank(name) for name in places_m}
+    vertebrae = {name: _vertebra(name) for name in places_m}
+    for upper, lower in permutations(places_m, 2):
+        is_higher = 0 < vertebrae[upper] < vertebrae[lower]
+        if is_higher or ranks[upper] < ranks[lower]:
+            yield 2, upper, lower
 
 
-def _spine_number(name: str) -> int:
+def _rank(name: str) -> float:
+    """Return where a structure lies between head and foot; nan for others."""
+    ranks = [rank for rank, one in enumerate(HEAD_TO_FOOT) if words_of(name) & one]
+    return ranks[-1] if ranks else float("nan")
+
+
+def _vertebra(name: str) -> int:
     """Return which vertebra is meant, counted from the head; 0 for others."""
     found = re.search(r"(?:^|[^a-z])([ctls])(\d+)", name)
     if found is None or not words_of(name) & SPINE:

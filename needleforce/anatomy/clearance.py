@@ -9,19 +9,17 @@ dozens of them, however many voxels there are.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from needleforce.anatomy.errors import OTHER_PATH, PlanError, VolumeError
+from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""
@@ -52,18 +50,6 @@ class Clearance:
     distance_m: float
     depth_m: float
     is_obstacle: bool
-
-
-class Approach(NamedTuple):
-    """Where a path comes nearest to voxels.
-
-    Attributes:
-        distance_m: From the path, 0 inside a voxel.
-        depth_m: From the path's first point.
-    """
-
-    distance_m: float
-    depth_m: float
 
 
 class FreeSpace(NamedTuple):
@@ -111,34 +97,33 @@ class VoxelBoxes:
         VolumeError: The axes of the grid are not orthogonal.
     """
 
-    def __init__(self, labels: "Labels", structure: Structure) -> None:
+    def __init__(self, labels: Segmentation, structure: Structure) -> None:
         self.structure = structure
         grid = labels.grid
         spacing_m = grid.spacing_m
-        directions = grid.axes_m / spacing_m
-        if np.abs(directions.T @ directions - np.eye(3)).max() > 1e-6:
+        self._origin_m = grid.origin_m
+        self._directions = grid.axes_m / spacing_m
+        products = self._directions.T @ self._directions
+        if np.abs(products - np.eye(3)).max() > 1e-6:
             raise VolumeError(
                 "the axes of the labels' grid are not orthogonal: resample them"
             )
-        self._origin_m = grid.origin_m
-        self._directions = directions
         # Voxels behind each other along the last axis of the grid are one box.
-        mask = labels.volumes[structure.volume][structure.box] == structure.value
-        change = np.diff(np.pad(mask, ((0, 0), (0, 0), (1, 1))).view(np.int8), axis=-1)
-        corner = np.array([side.start for side in structure.box])
+        mask = np.pad(labels.mask(structure.name), ((0, 0), (0, 0), (1, 1)))
+        change = np.diff(mask.view(np.int8), axis=-1)
+        corner = labels.corner(structure.name)
         first = np.argwhere(change == 1) + corner
         last = np.argwhere(change == -1) + corner - [0, 0, 1]
+        centres_m = 0.5 * (first + last) * spacing_m
+        halves_m = 0.5 * (last - first + 1) * spacing_m
         # In the order of such a tree neighbours come soon after each other.
-        order = KDTree(0.5 * (first + last) * spacing_m, leafsize=2).indices
-        self.tree = _box_tree(
-            (0.5 * (first + last) * spacing_m)[order],
-            (0.5 * (last - first + 1) * spacing_m)[order],
-        )
+        order = KDTree(centres_m, leafsize=2).indices
+        self.tree = _box_tree(centres_m[order], halves_m[order])
         compile_waiting()
 
     def nearest(
         self, entry_m: ArrayLike, target_m: ArrayLike, within_m: float = np.inf
-    ) -> Approach | None:
+    ) -> Clearance | None:
         """Return where a path comes nearest to a voxel; None if it is further away.
 
         Args:
@@ -147,10 +132,12 @@ class VoxelBoxes:
             within_m: Voxels further away than this are not looked for.
         """
         ends = self.along_grid(np.array([entry_m, target_m]))
-        distance_m, fraction, _ = nearest_box(self.tree, ends, within_m)
-        if fraction < 0.0:
+        distance_m, fraction, row = nearest_box(self.tree, ends, within_m)
+        if row == 0:
             return None
-        return Approach(distance_m, fraction * float(np.linalg.norm(ends[1] - ends[0])))
+        depth_m = fraction * float(np.linalg.norm(ends[1] - ends[0]))
+        structure = self.structure
+        return Clearance(structure.name, distance_m, depth_m, structure.is_obstacle)
 
     def along_grid(self, points_m: ArrayLike) -> Array:
         """Return points of LPS, (n, 3), along the axes of the boxes."""
@@ -194,85 +181,52 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
         within: Boxes further away do not count.
 
     Returns:
-        The distance; the fraction of the segment, the first of equal ones, -1 if
-        there is no box; and the row of the box.
+        The distance; the fraction of the segment, the first of equal ones; and the row
+        of the box, 0 if there is none.
     """
-    tie = 1e-9  # beside a flat face thousands of boxes are as near, but for rounding
-    entry = ends[0]
     way = ends[1] - ends[0]
-    waiting = np.empty((64, 3))  # boxes to look into: number, distance, fraction
-    _measure_box(tree, 1, entry, way, waiting[0])
-    size = 1
-    nearest = within
-    found = -1.0
-    row = 0
-    while size > 0:
-        size -= 1
-        number, distance, fraction = waiting[size]
-        is_tie = found >= 0.0 and distance > nearest - tie and fraction >= found
-        if distance > nearest or is_tie:
+    nearest = (within, 2.0, 0)  # no fraction is as large: so far away is still near
+    waiting = [_approach(tree, 1, ends[0], way)]
+    while waiting:
+        box = waiting.pop()
+        if box >= nearest:
             continue
-        left = 2 * int(number)
+        left = 2 * box[2]
         if left >= len(tree):
-            nearest = distance
-            found = fraction
-            row = int(number)
+            nearest = box
             continue
-        _measure_box(tree, left, entry, way, waiting[size])
-        _measure_box(tree, left + 1, entry, way, waiting[size + 1])
-        # The nearer one is looked into first: it goes last.
-        _, near, near_at = waiting[size]
-        _, far, far_at = waiting[size + 1]
-        if near < far or (near == far and near_at < far_at):
-            for k in range(3):
-                swapped = waiting[size, k]
-                waiting[size, k] = waiting[size + 1, k]
-                waiting[size + 1, k] = swapped
-        size += 2
-    return nearest, found, row
+        waiting += [_approach(tree, k, ends[0], way) for k in (left, left + 1)]
+        if waiting[-1] > waiting[-2]:  # the nearer one is looked into first
+            waiting[-1], waiting[-2] = waiting[-2], waiting[-1]
+    return nearest
 
 
 @compiled_inside
-def _measure_box(
-    tree: Matrix, number: int, entry: Vector, way: Vector, measured: WrittenVector
-) -> None:
-    """Write the number of a box, its distance from a segment, and where that is.
-
-    Args:
-        tree: Boxes as rows of centre and half edges.
-        number: Of the box.
-        entry: Start of the segment, (3,).
-        way: To its end, (3,).
-        measured: Number, distance, and fraction of the segment, (3,).
-    """
-    box = tree[number]
-    fraction = _nearest_fraction(box, entry, way)
-    square = 0.0
-    for i in range(3):
-        excess = abs(entry[i] + fraction * way[i] - box[i]) - box[3 + i]
-        if excess > 1e-9:  # a path to a face of a box ends in it
-            square += excess * excess
-    measured[0] = number
-    measured[1] = np.sqrt(square)
-    measured[2] = fraction
-
-
-@compiled_inside
-def _nearest_fraction(box: Vector, entry: Vector, way: Vector) -> float:
-    """Return where a line segment is nearest to a box, as a fraction of its length.
+def _approach(
+    tree: Matrix, row: int, entry: Vector, way: Vector
+) -> tuple[float, float, int]:
+    """Return the distance of a line segment from a box, and its first nearest place.
 
     The square of the distance, along the segment, is convex and of degree two between
     the places where the segment passes the planes of the box's faces: its slope is
     linear there, and where it changes sign lies the minimum.
+
+    Args:
+        tree: Boxes as rows of centre and half edges.
+        row: Of the box.
+        entry: Start of the segment, (3,).
+        way: To its end, (3,).
+
+    Returns:
+        The distance, rounded so that boxes beside a flat face are equally near; the
+        place as a fraction of the segment; and the row.
     """
+    box = tree[row]
+    tie = 1e-9
     # A slope less steep than this is none.
     flat = -1e-12 * (way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
     begin = 0.0
     end = 1.0
-    if _slope_at(box, entry, way, begin) >= flat:
-        return begin
-    if _slope_at(box, entry, way, end) < flat:
-        return end
     for side in range(6):
         axis = side // 2
         face = box[axis] + (2.0 * (side % 2) - 1.0) * box[3 + axis]
@@ -284,8 +238,14 @@ def _nearest_fraction(box: Vector, entry: Vector, way: Vector) -> float:
             else:
                 end = cut
     slope = _slope_at(box, entry, way, begin)
-    part = -slope / (_slope_at(box, entry, way, end) - slope)
-    return begin + min(part, 1.0) * (end - begin)
+    if slope < flat:
+        part = -slope / (_slope_at(box, entry, way, end) - slope)
+        begin += min(part, 1.0) * (end - begin)
+    square = 0.0
+    for i in range(3):
+        excess = abs(entry[i] + begin * way[i] - box[i]) - box[3 + i]
+        square += max(excess, 0.0) ** 2
+    return tie * np.rint(np.sqrt(square) / tie), begin, row
 
 
 @compiled_inside
@@ -302,32 +262,17 @@ def find_clearances(
     boxes: Iterable[VoxelBoxes], entry_m: ArrayLike, target_m: ArrayLike
 ) -> list[Clearance]:
     """Return how near a path comes to structures within 0.1 m, the nearest first."""
-    clearances: list[Clearance] = []
-    for one in boxes:
-        nearest = one.nearest(entry_m, target_m, within_m=0.1)
-        if nearest is not None:
-            clearances.append(
-                Clearance(
-                    one.structure.name,
-                    nearest.distance_m,
-                    nearest.depth_m,
-                    one.structure.is_obstacle,
-                )
-            )
-    return sorted(clearances, key=lambda one: (one.distance_m, one.depth_m))
+    nearest = [one.nearest(entry_m, target_m, within_m=0.1) for one in boxes]
+    found = [one for one in nearest if one is not None]
+    return sorted(found, key=lambda one: (one.distance_m, one.depth_m))
 
 
 def describe_clearance(clearance: Clearance) -> str:
     """Return a clearance in words."""
+    verb = f"passes {clearance.name} at {MM_PER_M * clearance.distance_m:.1f} mm,"
     if clearance.distance_m == 0.0:
-        return (
-            f"crosses {clearance.name} at {MM_PER_M * clearance.depth_m:.1f} mm below "
-            "the entry"
-        )
-    return (
-        f"passes {clearance.name} at {MM_PER_M * clearance.distance_m:.1f} mm, "
-        f"{MM_PER_M * clearance.depth_m:.1f} mm below the entry"
-    )
+        verb = f"crosses {clearance.name} at"
+    return f"{verb} {MM_PER_M * clearance.depth_m:.1f} mm below the entry"
 
 
 def too_near(clearances: Iterable[Clearance], space: FreeSpace) -> list[Clearance]:
@@ -351,11 +296,8 @@ def require_clear_path(
         PlanError: The path crosses an obstacle, or leaves it too little space.
     """
     accepted = frozenset(accepted_obstacles)
-    obstacles = [
-        one
-        for one in too_near(clearances, space)
-        if one.is_obstacle and one.name not in accepted
-    ]
+    near = too_near(clearances, space)
+    obstacles = [one for one in near if one.is_obstacle and one.name not in accepted]
     if obstacles:
         raise PlanError(
             f"the path {'; '.join(map(describe_clearance, obstacles))}: obstacles must "

@@ -74,21 +74,20 @@ def fit_landmarks(
     _require_one_order(model, robot, std_m)
     # Residuals that good landmarks exceed more seldom are taken for those of one
     # landmark that is off: its three coordinates decide.
-    if count == 3 and not is_std_known:
-        variance_m2 = np.nan
-    elif chdtrc(degrees, fit.squares_m2 / std_m**2) < 0.05:
+    is_off = chdtrc(degrees, fit.squares_m2 / std_m**2) < 0.05
+    if count == 3 and not (is_std_known and is_off):
+        variance_m2 = std_m**2 if is_std_known else np.nan
+        degrees = np.inf if is_std_known else degrees
+    elif is_off:
         variance_m2 = fit.squares_m2 / degrees
         degrees = 3.0
-    elif count == 3:
-        variance_m2 = std_m**2
-        degrees = np.inf
     else:
         # A known deviation counts as half a residual: as all but those of the
         # landmarks, or one of them that is off would leave the error as it is.
-        stated = 0.5 if is_std_known else 0.0
+        stated = 0.5 * is_std_known
         variance_m2 = (fit.squares_m2 + stated * std_m**2) / (degrees + stated)
         degrees += stated
-    moved_m = model @ fit.rotation.T + fit.translation_m
+    moved_m = fit.carry(model)
     pivot_m = moved_m.mean(axis=0)
     rows = displacement_jacobian(moved_m - pivot_m).reshape(-1, 6)
     return Registration(
@@ -103,25 +102,21 @@ def fit_landmarks(
 
 def _require_landmarks(model: Array, robot: Array) -> None:
     """Refuse landmarks that could not register."""
-    if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
-        shapes = f"{model.shape} and {robot.shape}"
-        raise RegistrationError(f"landmarks of shapes {shapes}: expected (n, 3) twice")
-    if len(model) < 3 or not np.isfinite([model, robot]).all():
+    is_list = model.ndim == 2 and model.shape[1:] == (3,) and model.shape == robot.shape
+    if not is_list or len(model) < 3 or not np.isfinite([model, robot]).all():
         raise RegistrationError(
-            f"too few landmarks, or one is not finite: {len(model)}, expected three or "
-            "more"
+            f"landmarks of shapes {model.shape} and {robot.shape}, too few or one not "
+            "finite: expected (n, 3) twice, three or more"
         )
     model_length_m, model_width_m, _ = rms_extents_m(model)
     robot_length_m, robot_width_m, _ = rms_extents_m(robot)
     ratio = robot_length_m / max(model_length_m, 1e-12)
-    if not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
+    is_narrow = min(model_width_m, robot_width_m) < MIN_WIDTH_m
+    if is_narrow or not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touched landmarks are {ratio:.3g} times as far apart as those of the "
-            "model: millimetres for metres?"
-        )
-    if min(model_width_m, robot_width_m) < MIN_WIDTH_m:
-        raise RegistrationError(
-            "the landmarks are collinear: the model could turn about their line"
+            "model (millimetres for metres?), or collinear: the model could turn about "
+            "their line"
         )
 
 
@@ -196,15 +191,13 @@ def judge_landmarks(
     model = np.asarray(model_m, dtype=float)
     robot = np.asarray(robot_m, dtype=float)
     fit = fit_rigidly(model, robot)
-    left_m = np.linalg.norm(model @ fit.rotation.T + fit.translation_m - robot, axis=1)
+    left_m = np.linalg.norm(fit.carry(model) - robot, axis=1).tolist()
     residuals: list[LandmarkResidual] = []
-    for number in range(len(model)):
-        name = names[number] if names else str(number + 1)
+    for number, name in enumerate(names or map(str, range(1, len(model) + 1))):
         is_other = np.arange(len(model)) != number
         distance_m = probability = np.nan
         if len(model) > 3 and rms_extents_m(model[is_other])[1] >= MIN_WIDTH_m:
-            fit = fit_rigidly(model[is_other], robot[is_other])
-            moved_m = model @ fit.rotation.T + fit.translation_m
+            moved_m = fit_rigidly(model[is_other], robot[is_other]).carry(model)
             error_m = moved_m[number] - robot[number]
             distance_m = float(np.linalg.norm(error_m))
             jacobian = displacement_jacobian(moved_m - moved_m[is_other].mean(axis=0))
@@ -212,9 +205,8 @@ def judge_landmarks(
             inner = np.linalg.solve(rows.T @ rows, jacobian[number].T)
             factor = np.eye(3) + jacobian[number] @ inner
             squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
-            if len(model) >= MIN_VERIFIED:
-                probability = float(chdtrc(3, squares))
-        residuals.append(
-            LandmarkResidual(name, float(left_m[number]), distance_m, probability)
-        )
+            is_judged = len(model) >= MIN_VERIFIED
+            probability = float(chdtrc(3, squares)) if is_judged else np.nan
+        residual = LandmarkResidual(name, left_m[number], distance_m, probability)
+        residuals.append(residual)
     return residuals

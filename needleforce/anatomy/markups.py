@@ -26,6 +26,9 @@ RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 MM_PER_M = 1e3
 
+MALFORMED = (msgspec.MsgspecError, AttributeError, TypeError)
+"""What reading JSON of another shape raises."""
+
 
 class _ControlPoint(msgspec.Struct):
     """A control point of a file.
@@ -39,34 +42,6 @@ class _ControlPoint(msgspec.Struct):
     label: str = ""
     position: tuple[float, float, float] | None = None
     status: str = msgspec.field(name="positionStatus", default="defined")
-
-
-class _Markup(msgspec.Struct):
-    """A list of points, a line, or another markup of a file.
-
-    Attributes:
-        kind: Such as ``Fiducial`` or ``Line``.
-        frame: Frame of its points.
-        units: Unit of length.
-        points: Its control points.
-    """
-
-    kind: str = msgspec.field(name="type", default="")
-    frame: str | int = msgspec.field(name="coordinateSystem", default="RAS")
-    units: str = msgspec.field(name="coordinateUnits", default="mm")
-    points: list[_ControlPoint] = msgspec.field(
-        name="controlPoints", default_factory=list
-    )
-
-
-class _File(msgspec.Struct):
-    """A file of Slicer.
-
-    Attributes:
-        markups: What is in it.
-    """
-
-    markups: list[_Markup]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,37 +73,31 @@ def read_markup(path: Path | str) -> Markup:
     # Factors to LPS by the name of a frame, and by the number in old files.
     frames = {"LPS": np.ones(3), "0": RAS_TO_LPS, "1": np.ones(3), "RAS": RAS_TO_LPS}
     try:
-        file = msgspec.json.decode(Path(path).read_bytes(), type=_File)
-    except (OSError, msgspec.MsgspecError) as error:
+        content = msgspec.json.decode(Path(path).read_bytes(), type=dict[str, Any])
+        (markup,) = content["markups"]
+        factors = frames[str(markup.get("coordinateSystem", "RAS"))]
+        scale_m = units_m[markup.get("coordinateUnits", "mm")]
+        points = msgspec.convert(markup["controlPoints"], list[_ControlPoint])
+    except (OSError, LookupError, ValueError, *MALFORMED) as error:
         raise VolumeError(
-            f"cannot read {path}: {error}; expected points or a line that 3D Slicer "
-            "saved as .mrk.json"
+            f"cannot read {path}: {error!r}; expected one list of points, or one line, "
+            f"in LPS or RAS and one of {', '.join(units_m)}, that 3D Slicer saved as "
+            ".mrk.json"
         ) from error
-    if len(file.markups) != 1:
-        raise VolumeError(f"{path} holds {len(file.markups)} markups: expected one")
-    markup = file.markups[0]
-    scale_m = units_m.get(markup.units)
-    factors = frames.get(str(markup.frame))
-    if scale_m is None or factors is None:
-        raise VolumeError(
-            f"{path} is in {markup.frame!r} and {markup.units!r}: expected LPS or RAS, "
-            f"and one of {', '.join(units_m)}"
-        )
     placed = [
         point
-        for point in markup.points
+        for point in points
         if point.position is not None and point.status not in unplaced
     ]
-    if not placed:
-        raise VolumeError(f"{path} holds no placed point")
     names = tuple(point.label or str(n) for n, point in enumerate(placed, 1))
-    if len(set(names)) < len(names):
-        raise VolumeError(f"{path}: two points have one name: {', '.join(names)}")
     positions = np.array([point.position for point in placed], dtype=float)
-    points_m = scale_m * factors * positions
-    if not np.isfinite(points_m).all():
-        raise VolumeError(f"{path}: a point is not finite")
-    return Markup(names, points_m, markup.kind == "Line")
+    points_m = scale_m * factors * positions.reshape(-1, 3)
+    if not placed or len({*names}) < len(names) or not np.isfinite(points_m).all():
+        raise VolumeError(
+            f"{path} holds the points {', '.join(names) or 'none'}: expected placed, "
+            "finite ones with a name each"
+        )
+    return Markup(names, points_m, markup.get("type") == "Line")
 
 
 def write_markup(

@@ -5,18 +5,15 @@ along its own direction: what counts is what lies beside the needle, and ahead o
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array, Matrix, Vector, WrittenBlocks, WrittenMatrix
-from foundation.jit import compile_waiting, compiled
+from foundation.arrays import Array
 from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes, nearest_box
+from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.registration import Registration
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
 
 REACH_m = 0.1
 """Structures further away than this are not reported."""
@@ -72,9 +69,10 @@ class NeedleClearance(NamedTuple):
         part = "the way ahead" if self.is_ahead else "the needle"
         if self.distance_m == 0.0:
             return f"{part} meets {self.name}"
-        distance_mm = MM_PER_M * self.distance_m
-        std_mm = MM_PER_M * self.std_m
-        return f"{part} passes {self.name} at {distance_mm:.1f} ± {std_mm:.1f} mm"
+        return (
+            f"{part} passes {self.name} at {MM_PER_M * self.distance_m:.1f} ± "
+            f"{MM_PER_M * self.std_m:.1f} mm"
+        )
 
 
 def sort_clearances(
@@ -85,9 +83,8 @@ def sort_clearances(
     What must stay free differs: a structure that the plan itself passes may be nearest
     and not too near, while another one is.
     """
-    return tuple(
-        sorted(clearances, key=lambda one: (not one.is_too_near, one.distance_m))
-    )
+    order = sorted(clearances, key=lambda one: (not one.is_too_near, one.distance_m))
+    return tuple(order)
 
 
 class NeedleSurroundings:
@@ -108,7 +105,7 @@ class NeedleSurroundings:
 
     def __init__(
         self,
-        labels: "Labels",
+        labels: Labels,
         registration: Registration,
         entry_m: ArrayLike,
         target_m: ArrayLike,
@@ -119,13 +116,9 @@ class NeedleSurroundings:
         # only when the needle comes nearer by this much.
         closer_m = 1e-3
         left_out = frozenset(leave_out)
-        self._structures = [
-            item
-            for item in labels.structures
-            if (item.is_obstacle or item.is_risk) and item.name not in left_out
-        ]
-        self.names = tuple(item.name for item in self._structures)
-        boxes = [VoxelBoxes(labels, item) for item in self._structures]
+        chosen = [one for one in labels.at_risk() if one.name not in left_out]
+        self.names = tuple(one.name for one in chosen)
+        self._boxes = [VoxelBoxes(labels, one) for one in chosen]
         self._registration = registration
         self._entry_m = np.asarray(entry_m, dtype=float)
         way_m = np.asarray(target_m, dtype=float) - self._entry_m
@@ -133,33 +126,28 @@ class NeedleSurroundings:
         self._axis = way_m / self._length_m
         self._std_m = space.std_m
         kept_free_m = space.needle_radius_m + space.margin_m
-        planned = [one.nearest(entry_m, target_m, REACH_m) for one in boxes]
-        planned_m = np.array(
-            [np.inf if one is None else one.distance_m for one in planned]
-        )
-        self._needed_m = np.where(
-            planned_m > kept_free_m, kept_free_m, planned_m - closer_m
-        )
-        compile_waiting()
-        self._along_grid = boxes[0].along_grid if boxes else np.asarray
-        self._from_grid = boxes[0].from_grid if boxes else np.asarray
-        self._trees = np.concatenate([np.zeros((0, 6)), *(one.tree for one in boxes)])
-        self._begins = np.cumsum([0.0, *(len(one.tree) for one in boxes)])
-        self._distances_m = np.full((2, len(boxes)), np.inf)
-        self._measured_ends = np.full((2, len(boxes), 6), np.inf)
-        self._places_m = np.full((2, len(boxes), 3), np.nan)
-        self._was_inside = False
+        self._needed_m = [
+            kept_free_m
+            if planned is None or planned.distance_m > kept_free_m
+            else planned.distance_m - closer_m
+            for planned in (
+                one.nearest(entry_m, target_m, REACH_m) for one in self._boxes
+            )
+        ]
+        self._ends_m: Array = np.zeros((0, 3))
         self._found: tuple[NeedleClearance, ...] = ()
 
     def clearances(self, tip_m: Array, axis: Array) -> tuple[NeedleClearance, ...]:
         """Return how near the needle comes to structures within 0.1 m.
 
-        Those that are too near come first, then the nearest.
+        Those that are too near come first, then the nearest. Places of the needle are
+        rounded to 0.1 mm, so that a sample in which it hardly moves costs little.
 
         Args:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
+        step_m = 0.1e-3
         # The way ahead of a tip further above the entry is not judged: an arm on its
         # way to the patient points anywhere.
         approach_m = 0.05
@@ -168,96 +156,46 @@ class NeedleSurroundings:
         depth_m = float((tip - self._entry_m) @ self._axis)
         if depth_m < -approach_m:
             return ()
-        # A shorter part of the needle is measured as one of 0.1 mm.
-        inside_m = max(depth_m, 1e-4) * forward
-        ahead_m = max(self._length_m - depth_m, 1e-4) * forward
-        ends = self._along_grid([tip - inside_m, tip, tip, tip + ahead_m])
-        measured = measure_again(
-            self._trees,
-            self._begins,
-            self._needed_m,
-            ends,
-            self._measured_ends,
-            self._distances_m,
-            self._places_m,
-        )
-        is_inside = depth_m > 0.0
-        if measured or is_inside != self._was_inside:
-            self._was_inside = is_inside
-            self._found = self._clearances()
+        skin = tip - max(depth_m, 0.0) * forward
+        last = tip + max(self._length_m - depth_m, 0.0) * forward
+        ends_m = step_m * np.rint(np.array([skin, tip, last]) / step_m)
+        if not np.array_equal(ends_m, self._ends_m):
+            self._ends_m = ends_m
+            numbers = range(len(self._boxes))
+            measured = [self._measure(number, ends_m) for number in numbers]
+            near = [one for one in measured if one.distance_m < np.inf]
+            self._found = sort_clearances(near)
         return self._found
 
-    def _clearances(self) -> tuple[NeedleClearance, ...]:
-        """Return the measured distances of structures within 0.1 m, in order."""
-        inside_m, ahead_m = self._distances_m
-        if not self._was_inside:
-            inside_m = np.full_like(ahead_m, np.inf)
-        part = (inside_m > ahead_m).astype(int)
-        nearest = self._from_grid(self._places_m[part, np.arange(len(part))])
-        places_m = self._registration.to_robot(nearest).tolist()
-        found = [
-            NeedleClearance(
-                *(number, item.name, float(inside_m[number]), float(ahead_m[number])),
-                *(self._std_m, float(self._needed_m[number]), item.is_obstacle),
-                *places_m[number],
-            )
-            for number, item in enumerate(self._structures)
-            if min(inside_m[number], ahead_m[number]) < np.inf
-        ]
-        return sort_clearances(found)
+    def _measure(self, number: int, ends_m: Array) -> NeedleClearance:
+        """Return how near the needle comes to a structure.
 
-
-@compiled
-def measure_again(
-    trees: Matrix,
-    begins: Vector,
-    needed: Vector,
-    ends: Matrix,
-    measured_ends: WrittenBlocks,
-    distances: WrittenMatrix,
-    places: WrittenBlocks,
-) -> int:
-    """Measure the distances of straight parts of the needle that may have changed.
-
-    None comes nearer than it must stay unnoticed, and far ones cost little. Returns how
-    many were measured.
-
-    Args:
-        trees: Boxes of all structures, see `clearance.nearest_box`.
-        begins: Row at which each structure's begin, and the end of the last, (n + 1,).
-        needed: How far from each the needle must stay, (n,).
-        ends: Of the parts inside and ahead, along the axes of the boxes, (4, 3).
-        measured_ends: The ends with which each distance was measured, (2, n, 6).
-        distances: From each structure, infinite beyond `REACH_m`, (2, n).
-        places: Where each structure is nearest, along the axes of the boxes,
-            (2, n, 3).
-    """
-    step = 0.1e-3  # of the needle, after which a near structure is measured again
-    step_fraction = 0.2  # of what is left above what is needed, for far ones
-    count = 0
-    for part in range(2):
-        both = ends[2 * part : 2 * part + 2]
-        for number in range(len(needed)):
-            moved = 0.0
-            for end in range(2):
-                square = 0.0
-                for i in range(3):
-                    square += (
-                        both[end, i] - measured_ends[part, number, 3 * end + i]
-                    ) ** 2
-                moved = max(moved, np.sqrt(square))
-            left = min(distances[part, number], REACH_m) - needed[number]
-            if moved <= max(step, step_fraction * left):
-                continue
-            tree = trees[int(begins[number]) : int(begins[number + 1])]
-            nearest, fraction, row = nearest_box(tree, both, REACH_m)
-            distances[part, number] = nearest if fraction >= 0.0 else np.inf
-            for i in range(3):
-                low = tree[row, i] - tree[row, 3 + i]
-                high = tree[row, i] + tree[row, 3 + i]
-                place = both[0, i] + fraction * (both[1, i] - both[0, i])
-                places[part, number, i] = min(max(place, low), high)
-            measured_ends[part, number, :3] = both[0]
-            measured_ends[part, number, 3:] = both[1]
-            count += 1
-    return count
+        Args:
+            number: Of the structure.
+            ends_m: Entry of the needle, its tip, and the end of its way in LPS, (3, 3);
+                entry and tip are one above the skin.
+        """
+        boxes = self._boxes[number]
+        ends = boxes.along_grid(ends_m)
+        inside_m, inside_at, inside_row = nearest_box(boxes.tree, ends[:2], REACH_m)
+        ahead_m, ahead_at, ahead_row = nearest_box(boxes.tree, ends[1:], REACH_m)
+        if inside_row == 0 or np.array_equal(ends_m[0], ends_m[1]):
+            inside_m = np.inf
+        if ahead_row == 0:
+            ahead_m = np.inf
+        place = ends[0] + inside_at * (ends[1] - ends[0])
+        box = boxes.tree[inside_row]
+        if ahead_m < inside_m:
+            place = ends[1] + ahead_at * (ends[2] - ends[1])
+            box = boxes.tree[ahead_row]
+        nearest = np.clip(place, box[:3] - box[3:], box[:3] + box[3:])
+        return NeedleClearance(
+            number,
+            self.names[number],
+            inside_m,
+            ahead_m,
+            self._std_m,
+            self._needed_m[number],
+            boxes.structure.is_obstacle,
+            *self._registration.to_robot(boxes.from_grid(nearest)).tolist(),
+        )

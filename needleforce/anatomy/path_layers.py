@@ -9,20 +9,16 @@ same wherever the path runs through one of its voxels. Between two others it beg
 where these others' votes say that they end: its own are too few.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import VolumeError, require_deviation
+from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
@@ -70,44 +66,37 @@ class _Path:
     Attributes:
         start: Index of its first point, with fractions, (3,).
         way: From there to its last point, in indices, (3,).
-        length_m: From the first point to the last.
         depths_m: Of points on it, at equal steps, (n,).
-        ranked: Structures, the largest first: rank 1 and on; rank 0 is none.
+        ranked: Structures, the largest first; the first one stands for none.
         votes: Of the ranks at each point; a row sums to 1, (n, ranks).
     """
 
     start: Array
     way: Array
-    length_m: float
     depths_m: Array
     ranked: list[Structure]
     votes: Array
+
+    @property
+    def length_m(self) -> float:
+        """From the first point to the last."""
+        return float(self.depths_m[-1])
 
     @property
     def voxel_m(self) -> float:
         """Length of a voxel along the path."""
         return self.length_m / float(np.linalg.norm(self.way))
 
-    def indices(self, depths_m: Array) -> Array:
-        """Return the indices (n, 3) at depths (n,)."""
-        return self.start + np.outer(depths_m / self.length_m, self.way)
-
     def votes_of(self, *names: str) -> Array:
         """Return the votes of some structures together, (n,)."""
-        all_names = (UNLABELLED, *(item.name for item in self.ranked))
-        ranks = [rank for rank, name in enumerate(all_names) if name in names]
+        ranks = [rank for rank, item in enumerate(self.ranked) if item.name in names]
         return np.asarray(self.votes[:, ranks].sum(axis=1), dtype=np.float64)
 
 
 def find_layers(
-    labels: "Labels",
-    entry_m: ArrayLike,
-    target_m: ArrayLike,
-    boundary_std_m: float = 0.0,
+    labels: Segmentation, entry_m: ArrayLike, target_m: ArrayLike
 ) -> list[Layer]:
     """Return what a straight path crosses; see `Labels.layers_along`."""
-    if boundary_std_m != 0.0:
-        require_deviation("boundary_std_m", boundary_std_m, VolumeError)
     path = _voted_path(labels, entry_m, target_m)
     winners = path.votes.argmax(axis=1)
     (index,) = np.nonzero(np.diff(winners))
@@ -119,18 +108,13 @@ def find_layers(
     fall = np.maximum(lead + trail, MIN_FALL)
     step_m = path.depths_m[1]
     depth_m = path.depths_m[index] + step_m * lead / fall
-    vote_std: Array | float = SIZE_STD
-    if boundary_std_m and len(index):
-        votes_per_m = _votes_per_m(labels, path, depth_m, before, behind)
-        vote_std = np.hypot(SIZE_STD, boundary_std_m * votes_per_m)
-    std_m = np.minimum(vote_std * step_m / fall, path.length_m)
+    std_m = np.minimum(SIZE_STD * step_m / fall, path.length_m)
     ends_m = pairwise([0.0, *depth_m.tolist(), path.length_m])
     stds_m = pairwise([0.0, *std_m.tolist(), 0.0])
     layers: list[Layer] = []
     for rank, ends, stds in zip([winners[0], *behind], ends_m, stds_m, strict=True):
-        item = path.ranked[rank - 1] if rank else None
-        name = UNLABELLED if item is None else item.name
-        layers.append(Layer(name, *ends, *stds, item is not None and item.is_obstacle))
+        item = path.ranked[rank]
+        layers.append(Layer(item.name, *ends, *stds, item.is_obstacle))
     for item, begin_m, end_m in _crossings(labels, path):
         # The steps of its voxels along a slanting surface are no layers of their own.
         beside_m = 0.0 if item.is_obstacle else path.voxel_m
@@ -140,12 +124,11 @@ def find_layers(
             and layer.exit_m >= begin_m - beside_m
             for layer in layers
         ):
-            faces_m = np.array([begin_m, end_m])
-            layers = _with_crossing(layers, item, faces_m, path, boundary_std_m)
+            layers = _with_crossing(layers, item, np.array([begin_m, end_m]), path)
     return layers
 
 
-def _voted_path(labels: "Labels", entry_m: ArrayLike, target_m: ArrayLike) -> _Path:
+def _voted_path(labels: Segmentation, entry_m: ArrayLike, target_m: ArrayLike) -> _Path:
     """Return the path between two points that lie where a needle's can."""
     max_outside_m = 1.0  # of the first point; beyond it the unit is not the metre
     step_voxels = 0.5  # distance of points on the path
@@ -157,23 +140,25 @@ def _voted_path(labels: "Labels", entry_m: ArrayLike, target_m: ArrayLike) -> _P
         )
     grid = labels.grid
     start, end = grid.indices(np.array(ends_m))
-    if np.any(end < -0.5) or np.any(end > np.array(grid.shape) - 0.5):
-        raise VolumeError(f"the target {target_m} m lies outside the volume")
     outside_m = (np.maximum(-start, start - grid.shape) * grid.spacing_m).max()
+    is_inside = np.all((end >= -0.5) & (end <= np.array(grid.shape) - 0.5))
     length_m = float(np.linalg.norm(ends_m[1] - ends_m[0]))
-    if outside_m > max_outside_m or length_m == 0.0:
+    if not is_inside or outside_m > max_outside_m or length_m == 0.0:
         raise VolumeError(
-            f"the entry {entry_m} lies {outside_m:.3g} m outside the volume, or is the "
-            "same point as the target: expected metres"
+            f"the target {target_m} lies outside the volume, the entry {entry_m} "
+            f"{outside_m:.3g} m outside it, or they are the same point: expected metres"
         )
-    ranked = sorted(labels.structures, key=lambda item: -item.voxels)
+    none = Structure(UNLABELLED, 0, ())
+    ranked = [none, *sorted(labels.structures, key=lambda item: -item.voxels)]
     points = int(np.ceil(np.linalg.norm(end - start) / step_voxels)) + 1
     fractions = np.linspace(0.0, 1.0, points)
     votes = _count_votes(labels, ranked, start + np.outer(fractions, end - start))
-    return _Path(start, end - start, length_m, fractions * length_m, ranked, votes)
+    return _Path(start, end - start, fractions * length_m, ranked, votes)
 
 
-def _count_votes(labels: "Labels", ranked: list[Structure], indices: Array) -> Array:
+def _count_votes(
+    labels: Segmentation, ranked: list[Structure], indices: Array
+) -> Array:
     """Count the votes of the voxels around points, (n, ranks).
 
     Where structures overlap the last, which is the smallest, holds the voxel. The
@@ -188,99 +173,47 @@ def _count_votes(labels: "Labels", ranked: list[Structure], indices: Array) -> A
     """
     # Half the side of the cube in which voxels vote: two and a half deviations.
     reach_voxels = 3
-    offsets = np.arange(-reach_voxels, reach_voxels + 1)
-    voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
-    squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
-    weights = _combine_axes(np.multiply, np.exp(-0.5 * squares)) * (
-        2.5 - 0.5 * _combine_axes(np.add, squares)
-    )
-    weights /= weights.sum(axis=(1, 2, 3), keepdims=True)
-    is_inside = (voxels >= 0) & (voxels < np.array(labels.grid.shape)[:, None])
-    i, j, k = np.moveaxis(np.where(is_inside, voxels, 0), 1, 0)
-    places = (i[:, :, None, None], j[:, None, :, None], k[:, None, None, :])
+    cube = np.indices([2 * reach_voxels + 1] * 3).reshape(3, -1).T - reach_voxels
+    voxels = np.rint(indices)[:, None] + cube  # (n, 343, 3)
+    squares = (((voxels - indices[:, None]) / WIDTH_VOXELS) ** 2).sum(axis=2)
+    weights = np.exp(-0.5 * squares) * (2.5 - 0.5 * squares)
+    weights /= weights.sum(axis=1, keepdims=True)
     ranks = np.zeros(weights.shape, np.intp)
     for number, volume in enumerate(labels.volumes):
-        own = {
-            item.value: k for k, item in enumerate(ranked, 1) if item.volume == number
-        }
-        table = np.zeros(max(own, default=0) + 2, np.intp)
-        table[list(own)] = list(own.values())
-        np.maximum(ranks, table[np.clip(volume[places], 0, len(table) - 1)], out=ranks)
-    ranks *= _combine_axes(np.logical_and, is_inside)  # outside is no structure
-    size = 1 + len(ranked)
-    ranks += size * np.arange(len(indices))[:, None, None, None]
-    votes = np.bincount(ranks.ravel(), weights.ravel(), len(indices) * size)
-    return votes.reshape(len(indices), size).astype(float, copy=False)
-
-
-def _combine_axes(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:
-    """Combine what belongs to three axes for each voxel of a cube.
-
-    Args:
-        combine: Of two arrays.
-        parts: Shape (n, 3, m); the result is (n, m, m, m).
-    """
-    x, y, z = np.moveaxis(parts, 1, 0)
-    in_plane = combine(x[:, :, None, None], y[:, None, :, None])
-    return combine(in_plane, z[:, None, None, :])
-
-
-def _votes_per_m(
-    labels: "Labels",
-    path: _Path,
-    depths_m: Array,
-    before: NDArray[np.intp],
-    behind: NDArray[np.intp],
-) -> Array:
-    """Return by how many votes the lead falls per metre along the boundaries' normals.
-
-    Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension;
-    how long a voxel is there depends on the normal.
-
-    Args:
-        labels: The segmentation.
-        path: Through it.
-        depths_m: Of the boundaries, (n,).
-        before: Rank of the winner before each, (n,).
-        behind: Rank of the winner behind, (n,).
-    """
-    normal_step_voxels = 0.5  # at which the votes around a boundary show its normal
-    steps = normal_step_voxels * np.vstack((np.eye(3), -np.eye(3)))
-    around = path.indices(depths_m)[:, None] + steps
-    votes = _count_votes(labels, path.ranked, around.reshape(-1, 3))
-    votes = votes.reshape(len(depths_m), 6, -1)
-    rows = np.arange(len(depths_m))
-    lead = votes[rows, :, before] - votes[rows, :, behind]
-    gradient = lead[:, :3] - lead[:, 3:]  # votes per voxel along each axis
-    per_voxel = np.maximum(np.linalg.norm(gradient, axis=1), MIN_FALL)
-    per_m = np.linalg.norm(gradient @ np.linalg.inv(labels.grid.axes_m), axis=1)
-    return 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) * per_m / per_voxel
+        rank_of_value = np.zeros(np.iinfo(np.uint16).max + 1, np.intp)
+        for rank, item in enumerate(ranked[1:], 1):
+            if item.volume == number:
+                rank_of_value[item.value] = rank
+        values = labels.grid.nearest(volume, voxels)
+        np.maximum(ranks, rank_of_value[values], out=ranks)
+    ranks += len(ranked) * np.arange(len(indices))[:, None]
+    votes = np.bincount(ranks.ravel(), weights.ravel(), len(indices) * len(ranked))
+    return votes.reshape(len(indices), len(ranked)).astype(float, copy=False)
 
 
 def _crossings(
-    labels: "Labels", path: _Path
-) -> Iterator[tuple[Structure, float, float]]:
-    """Yield where a path runs through voxels of structures, begin and end, by depth.
+    labels: Segmentation, path: _Path
+) -> list[tuple[Structure, float, float]]:
+    """Return where a path runs through voxels of structures, begin and end, by depth.
 
     Where structures overlap the smallest counts, and every obstacle.
     """
     tie_voxels = 1e-9  # so near to a face a path runs through both voxels beside it
     cuts = [np.array([0.0, 1.0])]
-    for begin, length in zip(path.start.tolist(), path.way.tolist(), strict=True):
+    for begin, length, size in zip(
+        path.start, path.way, labels.grid.shape, strict=True
+    ):
         if length != 0.0:
-            low, high = sorted((begin, begin + length))
-            faces = np.arange(np.ceil(low - 0.5), np.floor(high - 0.5) + 1.0) + 0.5
-            cuts.append((faces - begin) / length)
-    faces_m = path.length_m * np.unique(np.clip(np.concatenate(cuts), 0.0, 1.0))
-    middles = path.indices(0.5 * (faces_m[:-1] + faces_m[1:]))
+            cuts.append((np.arange(size + 1) - 0.5 - begin) / length)
+    fractions = np.unique(np.clip(np.concatenate(cuts), 0.0, 1.0))
+    faces_m = path.length_m * fractions
+    middles = path.start + np.outer(0.5 * (fractions[:-1] + fractions[1:]), path.way)
     signs = np.array(list(product((-tie_voxels, tie_voxels), repeat=3)))
-    voxels = np.rint(middles[:, None] + signs).astype(int)
-    is_valid = np.all((voxels >= 0) & (voxels < labels.grid.shape), axis=-1)
-    places = tuple(np.moveaxis(np.where(is_valid[..., None], voxels, 0), -1, 0))
-    values = [np.where(is_valid, volume[places], 0) for volume in labels.volumes]
+    around = middles[:, None] + signs
+    values = [labels.grid.nearest(volume, around) for volume in labels.volumes]
     is_held = np.zeros(len(middles), bool)
     found: list[tuple[Structure, float, float]] = []
-    for item in sorted(path.ranked, key=lambda one: one.voxels):
+    for item in reversed(path.ranked[1:]):
         if item.name in TISSUES:
             continue
         is_inside = (values[item.volume] == item.value).any(axis=1)
@@ -288,18 +221,14 @@ def _crossings(
             is_inside &= ~is_held
         is_held |= is_inside
         edges = np.diff(np.concatenate([[0], is_inside.astype(int), [0]]))
-        begins = faces_m[np.flatnonzero(edges > 0)].tolist()
-        ends = faces_m[np.flatnonzero(edges < 0)].tolist()
+        begins = faces_m[edges > 0].tolist()
+        ends = faces_m[edges < 0].tolist()
         found += [(item, *pair) for pair in zip(begins, ends, strict=True)]
-    yield from sorted(found, key=lambda one: one[1])
+    return sorted(found, key=lambda one: one[1])
 
 
 def _with_crossing(
-    layers: list[Layer],
-    item: Structure,
-    faces_m: Array,
-    path: _Path,
-    boundary_std_m: float,
+    layers: list[Layer], item: Structure, faces_m: Array, path: _Path
 ) -> list[Layer]:
     """Return layers with a stretch through voxels of a structure among them.
 
@@ -308,16 +237,15 @@ def _with_crossing(
         item: The structure.
         faces_m: Depths at which its voxels begin and end, (2,).
         path: The path.
-        boundary_std_m: Of the segmentation's boundaries.
     """
     ends_m = _ends_by_neighbours(layers, item.name, faces_m, path)
     if ends_m is None:
         std_m = _std_of_grazed_m(item.name, faces_m, path)
         ends_m = np.array([faces_m, [std_m, std_m]])
     begin_m, end_m = ends_m[0].tolist()
-    stds_m = np.minimum(np.hypot(ends_m[1], boundary_std_m), path.length_m)
     is_between = (ends_m[0] > 0.0) & (ends_m[0] < path.length_m)
-    begin_std_m, end_std_m = np.where(is_between, stds_m, 0.0).tolist()
+    stds_m = np.where(is_between, np.minimum(ends_m[1], path.length_m), 0.0)
+    begin_std_m, end_std_m = stds_m.tolist()
     before = [
         layer
         if layer.exit_m <= begin_m
@@ -353,23 +281,22 @@ def _ends_by_neighbours(
     ]
     if len(pairs) != 1:
         return None
-    ((leader, follower),) = pairs
-    leads = (
-        path.votes_of(leader) - path.votes_of(name, follower),
-        path.votes_of(leader, name) - path.votes_of(follower),
-    )
+    leader, follower = pairs[0]
     step_m = float(path.depths_m[1])
     ends: list[tuple[float, float]] = []
-    for lead, face_m in zip(leads, faces_m.tolist(), strict=True):
+    for face_m, first, others in (
+        (faces_m[0], (leader,), (name, follower)),
+        (faces_m[1], (leader, name), (follower,)),
+    ):
+        lead = path.votes_of(*first) - path.votes_of(*others)
         (index,) = np.nonzero((lead[:-1] > 0.0) & (lead[1:] <= 0.0))
         falls = lead[index] - lead[index + 1]
         depths_m = path.depths_m[index] + step_m * lead[index] / falls
         is_near = np.abs(depths_m - face_m) < path.voxel_m
-        if np.count_nonzero(is_near) != 1:
+        if is_near.sum() != 1:
             return None
         ends += zip(depths_m[is_near], SIZE_STD * step_m / falls[is_near], strict=True)
-    ends_m = np.array(ends).T
-    return ends_m if ends_m[0, 0] < ends_m[0, 1] else None
+    return np.array(ends).T if ends[0][0] < ends[1][0] else None
 
 
 def _std_of_grazed_m(name: str, faces_m: Array, path: _Path) -> float:

@@ -12,7 +12,7 @@ and of those whose entries lie close together the best is kept.
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.arrays import Array
 from needleforce.anatomy.clearance import Clearance, FreeSpace, VoxelBoxes
 from needleforce.anatomy.errors import PlanError, VolumeError
+from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
 
 DIRECTIONS = 6000
 """Rays over the whole sphere: 2.6 degrees from one to the next, 5 mm at 110 mm."""
@@ -86,7 +84,7 @@ class FoundPaths(NamedTuple):
 
 
 def find_paths(
-    labels: "Labels",
+    labels: Labels,
     target_m: ArrayLike,
     avoid: Iterable[str],
     limits: PathLimits = PathLimits(),
@@ -110,7 +108,7 @@ def find_paths(
     target = np.asarray(target_m, dtype=float)
     boxes = [VoxelBoxes(labels, labels[name]) for name in avoid]
     body = _Body(labels)
-    if not body.holds(target[None])[0]:
+    if body.kinds(target) != 1:
         raise VolumeError(f"the target {target.tolist()} m lies outside the body")
     directions = _even_directions(DIRECTIONS)
     entries_m = body.exits_m(target, directions, limits.max_length_m)
@@ -147,7 +145,7 @@ def find_paths(
 
 
 def judge_path(
-    labels: "Labels",
+    labels: Labels,
     entry_m: ArrayLike,
     target_m: ArrayLike,
     limits: PathLimits = PathLimits(),
@@ -167,15 +165,14 @@ def judge_path(
     body = _Body(labels)
     way_m = np.asarray(entry_m, dtype=float) - target
     entries_m = body.exits_m(target, way_m[None] / np.linalg.norm(way_m))
-    if not body.holds(target[None])[0] or not np.isfinite(entries_m).all():
+    if body.kinds(target) != 1 or not np.isfinite(entries_m).all():
         raise VolumeError("the line leads from no point outside to one inside the body")
-    risks = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    boxes = [VoxelBoxes(labels, one) for one in risks]
+    boxes = [VoxelBoxes(labels, one) for one in labels.at_risk()]
     angles_rad = body.skin_angles_rad(entries_m, target)
     return _rank(labels, boxes, entries_m, angles_rad, target, limits)[0]
 
 
-def orient_line(labels: "Labels", ends_m: Array) -> tuple[Array, Array]:
+def orient_line(labels: Labels, ends_m: Array) -> tuple[Array, Array]:
     """Return the entry and the target, (3,) each: programs write either one first.
 
     The entry is the end behind which, or in front of which, the body soon ends.
@@ -187,17 +184,17 @@ def orient_line(labels: "Labels", ends_m: Array) -> tuple[Array, Array]:
     Raises:
         VolumeError: The ends are one point, or neither leads out of the body.
     """
-    way_m = ends_m[1] - ends_m[0]
-    length_m = max(float(np.linalg.norm(way_m)), 1e-9)
     body = _Body(labels)
-    distances_m = [np.inf, np.inf]  # from the target, through the entry, to the skin
-    for entry, outward in ((0, -way_m / length_m), (1, way_m / length_m)):
+    lengths_m = np.full(2, np.inf)  # from the target, through the entry, to the skin
+    for entry in (0, 1):
         target_m = ends_m[1 - entry]
-        exit_m = body.exits_m(target_m, outward[None])[0]
-        if body.holds(target_m[None])[0] and np.isfinite(exit_m).all():
-            distances_m[entry] = float(np.linalg.norm(exit_m - target_m))
-    entry = int(np.argmin(distances_m))
-    if not 1e-6 < distances_m[entry] < np.inf or not way_m.any():
+        way_m = ends_m[entry] - target_m
+        direction = way_m / max(float(np.linalg.norm(way_m)), 1e-9)
+        exit_m = body.exits_m(target_m, direction[None])[0]
+        if body.kinds(target_m) == 1 and np.isfinite(exit_m).all() and way_m.any():
+            lengths_m[entry] = np.linalg.norm(exit_m - target_m)
+    entry = int(lengths_m.argmin())
+    if lengths_m[entry] == np.inf:
         raise VolumeError(
             "neither end of the line lies inside the body, with the skin behind the "
             "other one"
@@ -221,16 +218,13 @@ def _even_directions(count: int) -> Array:
 class _Body:
     """The voxels that any structure covers."""
 
-    def __init__(self, labels: "Labels") -> None:
+    def __init__(self, labels: Labels) -> None:
         self._grid = labels.grid
         self._inside = labels.inside()
 
-    def holds(self, points_m: Array) -> NDArray[np.bool_]:
-        """Return which points (..., 3) lie in voxels of the body."""
-        index = np.rint(self._grid.indices(points_m)).astype(np.int32)
-        is_valid = np.all((index >= 0) & (index < self._grid.shape), axis=-1)
-        voxels = tuple(np.moveaxis(np.where(is_valid[..., None], index, 0), -1, 0))
-        return np.asarray(is_valid & self._inside[voxels])
+    def kinds(self, points_m: Array) -> NDArray[np.integer]:
+        """Return 1 for points (..., 3) in the body, 0 in air, -1 beyond the volume."""
+        return self._grid.nearest(self._inside, self._grid.indices(points_m), -1)
 
     def exits_m(
         self, target: Array, directions: Array, max_length_m: float = np.inf
@@ -239,19 +233,16 @@ class _Body:
 
         A ray that leaves the volume before it leaves the body has no entry: nan.
         """
-        reach_m = float(np.linalg.norm(np.ptp(self._grid.corners_m(), axis=0)))
-        reach_m = min(reach_m, max_length_m)
+        diagonal_m = float(np.linalg.norm(np.ptp(self._grid.corners_m(), axis=0)))
+        reach_m = min(diagonal_m, max_length_m)
         step_m = 0.5 * float(self._grid.spacing_m.min())
         distances_m = step_m * np.arange(1, int(reach_m / step_m) + 2)
         exits_m = np.full(directions.shape, np.nan)
         for number, direction in enumerate(directions):
-            points_m = target + distances_m[:, None] * direction
-            is_outside = ~self.holds(points_m)
-            first = int(is_outside.argmax())
-            index = np.rint(self._grid.indices(points_m[first]))
-            is_valid = np.all((index >= 0) & (index < self._grid.shape))
+            kinds = self.kinds(target + distances_m[:, None] * direction)
+            first = int((kinds != 1).argmax())
             length_m = distances_m[first] - 0.5 * step_m
-            if is_outside[first] and is_valid and length_m <= reach_m:
+            if kinds[first] == 0 and length_m <= reach_m:
                 exits_m[number] = target + length_m * direction
         return exits_m
 
@@ -267,7 +258,7 @@ class _Body:
         offsets_m = skin_reach_m * radii[:, None] * _even_directions(normal_points)
         angles_rad = np.empty(len(entries_m))
         for number, entry_m in enumerate(entries_m):
-            normal = offsets_m[~self.holds(entry_m + offsets_m)].sum(axis=0)
+            normal = offsets_m[self.kinds(entry_m + offsets_m) != 1].sum(axis=0)
             way_m = entry_m - target
             lengths = np.linalg.norm(normal) * np.linalg.norm(way_m)
             cosine = normal @ way_m / max(lengths, 1e-12)
@@ -276,7 +267,7 @@ class _Body:
 
 
 def _rank(
-    labels: "Labels",
+    labels: Labels,
     avoided: Sequence[VoxelBoxes],
     entries_m: Array,
     angles_rad: Array,
@@ -308,7 +299,7 @@ def _rank(
 
 
 def _describe(
-    labels: "Labels", entry_m: Array, target: Array, angle_rad: float, cost: float
+    labels: Labels, entry_m: Array, target: Array, angle_rad: float, cost: float
 ) -> SkinPath:
     """Return a path with its layers and clearances; it begins at the first tissue."""
     # So much air the path of a found entry may begin with: skin lies between voxels.

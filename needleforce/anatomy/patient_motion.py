@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
 from needleforce.anatomy.registration import displacement_jacobian
 from needleforce.anatomy.touch_problem import (
     TUKEY,
     Fit,
+    Measured,
     Pose,
     Problem,
-    SURFACE_REACH_m,
     SURFACE_STD_m,
+    tukey_weights,
 )
 
 
@@ -39,20 +39,6 @@ class PatientMotion(NamedTuple):
     covariance: Array
 
 
-class _Moments(NamedTuple):
-    """Fits with a motion, one for each moment at which it may have been.
-
-    Attributes:
-        information: Of the motion, (b, 6, 6).
-        pull: That information times the motion that fits best, (b, 6).
-        follow: How the unknowns after a motion follow it, (b, 7, 6).
-    """
-
-    information: Array
-    pull: Array
-    follow: Array
-
-
 def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     """Return how probable it is that the patient moved.
 
@@ -68,35 +54,30 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     count = len(problem.touches_m)
     firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
     axes = _axes_of_motion(problem, fit.pose)
-    known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
-    moments = _fit_motions(problem, fit, firsts, known)
     near = 0.5 * axes
     kinds = [*(axis[None] for axis in axes), near, near[:3], near[3:]]
     # One axis, all, turns alone and shifts alone are equally probable.
     shares = np.append(np.full(6, 0.25 / 6.0), np.full(3, 0.25))
     priors = np.full(len(firsts), (1.0 - between) * moved / (len(firsts) - 1))
     priors[0] = between * moved
-    odds = np.zeros((len(firsts), len(kinds)))
-    motions = np.zeros((len(firsts), len(kinds), 6))
-    spreads = np.zeros((len(firsts), len(kinds), 6, 6))
-    for number, (information, pull, _) in enumerate(zip(*moments, strict=True)):
-        for kind, ways in enumerate(kinds):
+    known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
+    moments = _fit_motions(problem, fit, firsts, known)
+    odds: list[float] = []
+    steps: list[Array] = []
+    covariances: list[Array] = []
+    for prior, information, pull, follow in zip(priors, *moments, strict=True):
+        for share, ways in zip(shares, kinds, strict=True):
             # Along the ways each is of one standard deviation.
             inner = np.eye(len(ways)) + ways @ information @ ways.T
             spread = ways.T @ np.linalg.solve(inner, ways)
-            motion = spread @ pull
-            gain = 0.5 * float(pull @ motion - np.linalg.slogdet(inner)[1])
-            prior = priors[number] * shares[kind]
-            odds[number, kind] = prior * np.exp(min(gain, 500.0))
-            motions[number, kind] = motion
-            spreads[number, kind] = spread
-    probabilities = odds / (1.0 - moved + odds.sum())
-    follow = moments.follow
-    steps = np.einsum("fnm,fkm->fkn", follow, motions)
-    covariances = np.einsum("fni,fkij,fmj->fknm", follow, spreads, follow)
-    covariances += steps[..., None] * steps[..., None, :]
-    step = np.einsum("fk,fkn->n", probabilities, steps)
-    covariance = np.einsum("fk,fknm->nm", probabilities, covariances)
+            gain = 0.5 * float(pull @ spread @ pull - np.linalg.slogdet(inner)[1])
+            step = follow @ spread @ pull
+            odds.append(prior * share * np.exp(min(gain, 500.0)))
+            steps.append(step)
+            covariances.append(follow @ spread @ follow.T + np.outer(step, step))
+    probabilities = np.array(odds) / (1.0 - moved + np.sum(odds))
+    step = probabilities @ np.array(steps)
+    covariance = np.tensordot(probabilities, np.array(covariances), axes=1)
     return PatientMotion(
         probability=float(probabilities.sum()),
         step=step,
@@ -114,13 +95,25 @@ def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
     shift_std_m = 8e-3
     middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
     middle_m = middle_m + pose.translation_m
-    axes = np.zeros((6, 6))
-    axes[:3, :3] = turn_std_rad * pose.rotation.T
+    turns = turn_std_rad * pose.rotation.T
     # A turn about the middle moves the touches' mean.
-    at_pivot = displacement_jacobian(problem.pivot_m - middle_m)
-    axes[:3, 3:] = axes[:3] @ at_pivot.T
-    axes[3:, 3:] = shift_std_m * pose.rotation.T
-    return axes
+    at_pivot = turns @ displacement_jacobian(problem.pivot_m - middle_m)[:, :3].T
+    shifts = shift_std_m * pose.rotation.T
+    return np.block([[turns, at_pivot], [np.zeros((3, 3)), shifts]])
+
+
+class _Moments(NamedTuple):
+    """Fits with a motion, one for each moment at which it may have been.
+
+    Attributes:
+        information: Of the motion, (b, 6, 6).
+        pull: That information times the motion that fits best, (b, 6).
+        follow: How the unknowns after a motion follow it, (b, 7, 6).
+    """
+
+    information: Array
+    pull: Array
+    follow: Array
 
 
 def _fit_motions(
@@ -148,45 +141,39 @@ def _fit_motions(
     poses = [fit.pose] * len(starts)
     motions = np.zeros((len(starts), 6))
     prior = np.zeros((13, 13))
-    prior[:7, :7] = problem.prior.information
+    prior[:7, :7] = problem.information
     prior[7:, 7:] = motion_information
     number = 0
     while True:
         is_fine = number > rounds - fine_rounds
         touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
+        rows = np.dstack([touches.rows, touches.rows[..., :6] * is_moved[..., None]])
         reach_m = max(TUKEY * problem.noise_m, far_m * 0.6**number)
-        weights = np.maximum(1.0 - (touches.lengths_m / reach_m) ** 2, 0.0) ** 2
+        weights = tukey_weights(touches.lengths_m, reach_m)
         variance_m2 = _least_variance_m2(problem, touches.distances_m, weights, fit)
-        weighted = weights[..., None] * touches.rows / variance_m2
-        hessians = np.einsum("bni,bnj->bij", touches.rows, weighted) + prior
-        off_prior = np.array([problem.off_prior(pose) for pose in poses])
-        off_prior = np.hstack([off_prior, motions])
-        misfits = 0.5 * np.einsum("bi,ij,bj->b", off_prior, prior, off_prior)
+        weighted = weights[..., None] * rows / variance_m2
+        hessians = np.einsum("bni,bnj->bij", rows, weighted) + prior
+        off = np.hstack([[problem.off_known(pose) for pose in poses], motions])
+        misfits = 0.5 * np.einsum("bi,ij,bj->b", off, prior, off)
         misfits += _misfits(touches.lengths_m, variance_m2)
         if number == rounds:
             break
         gradients = np.einsum("bni,bn->bi", weighted, touches.distances_m)
-        gradients += off_prior @ prior
+        gradients += off @ prior
         # Radians beside metres.
         scales = np.sqrt(np.einsum("bii->bi", hessians))
         scaled = hessians / (scales[:, :, None] * scales[:, None, :])
         steps = -np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0]
         steps = steps / scales
-        poses = [
-            problem.move(pose, step)
-            for pose, step in zip(poses, steps[:, :7], strict=True)
-        ]
         motions = motions + steps[:, 7:]
+        poses = [*map(problem.move, poses, steps[:, :7])]
         number += 1
         if number == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
-            is_astray = misfits > misfits[-1]
-            motions[is_astray] = 0.0
-            poses = [
-                poses[-1] if is_one else pose
-                for pose, is_one in zip(poses, is_astray, strict=True)
-            ]
+            for k in np.flatnonzero(misfits > misfits[-1]):
+                motions[k] = 0.0
+                poses[k] = poses[-1]
     gains = np.maximum(misfits[-1] - misfits, 0.0)[:-1]
     mixed = hessians[:-1, :7, 7:]
     follow = -np.linalg.solve(hessians[:-1, :7, :7], mixed)
@@ -194,26 +181,12 @@ def _fit_motions(
     pull = np.einsum("bij,bj->bi", information, motions[:-1])
     # Normals differ from facet to facet, so that a motion may promise to explain more
     # than its fit does: what speaks for it is what the fit explains.
-    promised = 0.5 * np.einsum("bi,bi->b", motions[:-1], pull)
+    promised = 0.5 * np.vecdot(motions[:-1], pull)
     parts = np.minimum(gains / np.maximum(promised, 1e-9), 1.0)
     follow[:, :6] += np.eye(6)
     return _Moments(
         information - motion_information, pull * np.sqrt(parts)[:, None], follow
     )
-
-
-class _Measured(NamedTuple):
-    """Touches in each of some fits with a motion.
-
-    Attributes:
-        distances_m: From the surface that is pressed in, positive outside, (b, n).
-        lengths_m: From the nearest place on it, (b, n).
-        rows: Derivatives of the distances by pose, indentation and motion, (b, n, 13).
-    """
-
-    distances_m: Array
-    lengths_m: Array
-    rows: Array
 
 
 def _measure(
@@ -223,8 +196,8 @@ def _measure(
     is_moved: NDArray[np.bool_],
     *,
     is_fine: bool,
-) -> _Measured:
-    """Return how far the touches lie from the surface.
+) -> Measured:
+    """Return the touches beside the surface in each of some fits with a motion.
 
     Args:
         problem: Landmarks and touches.
@@ -233,34 +206,20 @@ def _measure(
         is_moved: Which touches lie behind it, (b, n).
         is_fine: Average normals around each place.
     """
-    rotations = np.array([pose.rotation for pose in poses])
-    places_m = np.array([pose.translation_m for pose in poses])
-    turns = Rotation.from_rotvec(motions[:, :3]).as_matrix()
-    arms_m = places_m - problem.pivot_m
-    moved_m = np.einsum("bij,bj->bi", turns, arms_m) + problem.pivot_m + motions[:, 3:]
-    moved_rotations = (turns @ rotations)[:, None]
-    rotation = np.where(is_moved[..., None, None], moved_rotations, rotations[:, None])
-    place_m = np.where(is_moved[..., None], moved_m[:, None], places_m[:, None])
-    points_m = np.einsum("bni,bnij->bnj", problem.touches_m - place_m, rotation)
-    points_m = points_m.reshape(-1, 3)
-    positions_m, normals = problem.surface.nearest(points_m)
-    off_m = points_m - positions_m
-    signed_m = np.vecdot(off_m, normals)
-    beside_m2 = np.maximum(np.vecdot(off_m, off_m) - signed_m**2, 0.0)
-    indentations_m = np.array([pose.indentation_m for pose in poses])
-    distances_m = signed_m.reshape(is_moved.shape) + indentations_m[:, None]
-    lengths_m = np.sqrt(distances_m**2 + beside_m2.reshape(is_moved.shape))
-    if is_fine:
-        around_m = 2.0 * SURFACE_REACH_m
-        normals = problem.surface.mean_normals(positions_m, normals, around_m)
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals.reshape(*is_moved.shape, 3)
-    directions = np.einsum("bnij,bnj->bni", rotation, normals)
-    by_pose = -np.einsum("bni,nij->bnj", directions, problem.jacobian)
-    by_depth = np.ones((*is_moved.shape, 1))
-    by_motion = by_pose * is_moved[..., None]
-    rows = np.concatenate([by_pose, by_depth, by_motion], axis=2)
-    return _Measured(distances_m, lengths_m, rows)
+    steps = np.pad(motions, ((0, 0), (0, 1)))
+    moved = [*map(problem.move, poses, steps)]
+    rotation = np.where(
+        is_moved[..., None, None],
+        np.array([pose.rotation for pose in moved])[:, None],
+        np.array([pose.rotation for pose in poses])[:, None],
+    )
+    place_m = np.where(
+        is_moved[..., None],
+        np.array([pose.translation_m for pose in moved])[:, None],
+        np.array([pose.translation_m for pose in poses])[:, None],
+    )
+    indentation_m = np.array([[pose.indentation_m] for pose in poses])
+    return problem.measure(rotation, place_m, indentation_m, is_fine=is_fine)
 
 
 def _misfits(lengths_m: Array, variance_m2: float) -> Array:

@@ -162,14 +162,14 @@ class PlanMatch:
         if deepest_m is not None:
             lowest_m = max(float(deepest_m) - entry_depth_m, tip_m)
         if contact_m is not None:
-            contact_m = contact_m - entry_depth_m
+            model = model.met_at(contact_m - entry_depth_m)
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        joint, matched, matched_probability = model.infer(lowest_m, ruptures, contact_m)
+        joint, matched, matched_probability = model.infer(lowest_m, ruptures)
         is_withdrawn = tip_m < lowest_m - withdrawn_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
         # The median: where two assignments compete, their mean is what neither says.
-        offset_m = model.quantile_m(joint, 0.5)
+        offset_m = model.median_m(joint)
         variance_m2 = float((joint @ (model.offset_m - offset_m) ** 2).sum())
         next_layer = (*self.layers, behind_all)[layer + 1]
         matched += self._first * (matched >= 0)
@@ -210,33 +210,6 @@ class PlanMatch:
         if layer < 0:
             return none
         return OUTSIDE if layer < self._first else self.layers[layer].name
-
-    def interval_m(
-        self,
-        depth_m: float,
-        ruptures_m: Sequence[float] = (),
-        level: float = 0.95,
-        *,
-        contact_m: float | None = None,
-    ) -> tuple[float, float]:
-        """Return offsets between which the true one lies with a probability.
-
-        Args:
-            depth_m: See `state`.
-            ruptures_m: See `state`.
-            level: The probability.
-            contact_m: See `state`.
-
-        Raises:
-            PlanError: As `state`, or a level that is not between 0 and 1.
-        """
-        _require_finite(depth_m, contact_m)
-        if not 0.0 < level < 1.0:
-            raise PlanError(f"level {level!r}: expected one between 0 and 1")
-        model = self._model
-        joint = model.infer(depth_m, ruptures_m, contact_m).joint
-        beyond = 0.5 - 0.5 * level
-        return model.quantile_m(joint, beyond), model.quantile_m(joint, 1.0 - beyond)
 
 
 def _fingerprint(layers: Sequence[Layer], offset_std_m: float) -> str:

@@ -65,12 +65,12 @@ class Registration:
         return (np.asarray(points_m, dtype=float) - self.translation_m) @ self.rotation
 
     def covariance_at(self, point_m: ArrayLike) -> Array:
-        """Return the covariance of the error at a point of the model, shape (3, 3).
+        """Return covariances of the error at points (..., 3) of the model, (..., 3, 3).
 
-        Its axes are those of the robot's base.
+        Their axes are those of the robot's base.
         """
         jacobian = displacement_jacobian(self.to_robot(point_m) - self.pivot_m)
-        return jacobian @ self.covariance @ jacobian.T
+        return jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
 
     def tre_m(self, point_m: ArrayLike) -> float:
         """Return the root mean square error to be expected at a point of the model."""
@@ -94,11 +94,9 @@ class Registration:
         Args:
             points_m: Of the model, shape (n, 3).
         """
-        variances_m2 = [
-            np.linalg.eigvalsh(self.covariance_at(point_m))[-1]
-            for point_m in np.atleast_2d(np.asarray(points_m, dtype=float))
-        ]
-        return float(np.sqrt(max(variances_m2)))
+        points = np.atleast_2d(np.asarray(points_m, dtype=float))
+        variances_m2 = np.linalg.eigvalsh(self.covariance_at(points))
+        return float(np.sqrt(variances_m2.max()))
 
     def region_contains(
         self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95
@@ -131,6 +129,10 @@ class RigidFit(NamedTuple):
     translation_m: Array
     squares_m2: float
 
+    def carry(self, points_m: Array) -> Array:
+        """Return points (n, 3) of the model where the motion carries them."""
+        return points_m @ self.rotation.T + self.translation_m
+
 
 def fit_rigidly(model_m: Array, robot_m: Array) -> RigidFit:
     """Fit a rotation and a shift to points in both frames, shape (n, 3) each.
@@ -140,13 +142,8 @@ def fit_rigidly(model_m: Array, robot_m: Array) -> RigidFit:
     model_mean_m = model_m.mean(axis=0)
     robot_mean_m = robot_m.mean(axis=0)
     fit = Rotation.align_vectors(robot_m - robot_mean_m, model_m - model_mean_m)
-    rotation = fit[0]
-    residual_m = float(fit[1])
-    return RigidFit(
-        rotation.as_matrix(),
-        robot_mean_m - rotation.apply(model_mean_m),
-        residual_m**2,
-    )
+    shift_m = robot_mean_m - fit[0].apply(model_mean_m)
+    return RigidFit(fit[0].as_matrix(), shift_m, float(fit[1]) ** 2)
 
 
 def displacement_jacobian(lever_m: Array) -> Array:

@@ -7,6 +7,7 @@ may have been the last one matched, the first row for none.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,21 +33,6 @@ LATE_STD_m = 2.5e-3
 CONTACT_STD_m = 0.15e-3
 """Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor;
 in the last it was found 4.8 mm too high, in the air."""
-
-
-class Expectation(NamedTuple):
-    """What is expected before the first rupture, for each offset (columns).
-
-    Attributes:
-        weight: Of each offset, shape (boundaries + 1, offsets).
-        rupture_m: Where a boundary ruptures at once, and late, shape (2, boundaries,
-            offsets).
-        std_m: Standard deviation of that, shape (2, boundaries, 1).
-    """
-
-    weight: Array
-    rupture_m: Array
-    std_m: Array
 
 
 class Posterior(NamedTuple):
@@ -97,25 +83,42 @@ class RuptureModel:
         half = round(reach * offset_std_m / GRID_m)
         self.offset_m: Array = GRID_m * np.arange(-half, half + 1.0)
         std_m = np.hypot(bound_std_m, rupture_std_m)
-        std_m[0] = np.hypot(std_m[0], offset_std_m)  # of the surface, see `_expect`
-        weight = np.zeros((len(names) + 1, len(self.offset_m)))
-        weight[0] = _student_density(self.offset_m / offset_std_m)
+        std_m[0] = np.hypot(std_m[0], offset_std_m)  # of the surface, see `met_at`
+        # Of each offset, before the first rupture.
+        self._weight = np.zeros((len(names) + 1, len(self.offset_m)))
+        self._weight[0] = _student_density(self.offset_m / offset_std_m)
+        self._weight /= self._weight.sum()
+        # Where a boundary ruptures at once, and late: (2, boundaries, offsets).
         at_once_m = bound_m[:, None] + self.offset_m
-        self._without_contact = Expectation(
-            weight / weight.sum(),
-            np.array([at_once_m, at_once_m + LATE_m]),
-            np.array([std_m, np.hypot(std_m, LATE_STD_m)])[..., None],
-        )
+        self._rupture_m = np.array([at_once_m, at_once_m + LATE_m])
+        self._std_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[..., None]
 
-    def infer(
-        self, deepest_m: float, ruptures_m: Sequence[float], contact_m: float | None
-    ) -> Posterior:
+    def met_at(self, contact_m: float) -> "RuptureModel":
+        """Return the model where the surface was met at a depth."""
+        # Probability that the surface is off by the plan's offset: so it is where
+        # registration errs, and not where organs have moved beneath the skin. Nobody
+        # knows beforehand which it is.
+        together = 0.5
+        surface_m = contact_m - self._bound_m[0]
+        alone_std_m = np.hypot(self._contact_std_m, self._offset_std_m)
+        alone = _student_density(surface_m / alone_std_m) / alone_std_m
+        off = _normal_density(surface_m - self.offset_m, self._contact_std_m)
+        model = copy(self)
+        weight = self._weight * (together * off + (1.0 - together) * alone)
+        model._weight = weight / weight.sum()
+        # A membrane on the surface is pushed in from there, wherever it was planned.
+        model._rupture_m = self._rupture_m.copy()
+        model._rupture_m[:, 0] = np.array([[contact_m], [contact_m + LATE_m]])
+        model._std_m = self._std_m.copy()
+        model._std_m[:, 0, 0] = CONTACT_STD_m, np.hypot(CONTACT_STD_m, LATE_STD_m)
+        return model
+
+    def infer(self, deepest_m: float, ruptures_m: Sequence[float]) -> Posterior:
         """Return what is known with the tip as deep as it has been.
 
         Args:
             deepest_m: Of the tip.
             ruptures_m: In their order.
-            contact_m: Depth at which the surface was met; None where not known.
 
         Raises:
             PlanError: A rupture is not finite, or above the one before.
@@ -123,13 +126,12 @@ class RuptureModel:
         # Travel from a rupture to its alarm: of random stacks behind the virtual sensor
         # 0.15 to 0.9 mm.
         alarm_m = 0.5e-3
-        expected = self._expect(contact_m)
         # Where the tip is, boundaries wait, or were passed unnoticed.
-        later = ndtr((expected.rupture_m - deepest_m + alarm_m) / expected.std_m)
-        passed = self._missed * (expected.rupture_m[0] <= deepest_m)
+        later = ndtr((self._rupture_m - deepest_m + alarm_m) / self._std_m)
+        passed = self._missed * (self._rupture_m[0] <= deepest_m)
         waiting = (self._at_once_and_late * later).sum(axis=0)
         waiting = (1.0 - self._missed) * waiting + self._missed - passed
-        weight, false_alarm = self._weigh(expected, ruptures_m)
+        weight, false_alarm = self._weigh(ruptures_m)
         joint = _sum_in_front(weight, passed)
         joint[:-1] *= waiting
         # Where nothing explains the depth, what was known before stays.
@@ -147,30 +149,7 @@ class RuptureModel:
         probability = likelihood[best] / max(likelihood.sum(), 1e-300)
         return Posterior(joint, best - 1, float(probability))
 
-    def _expect(self, contact_m: float | None) -> Expectation:
-        """Return what is expected of the ruptures."""
-        # Probability that the surface is off by the plan's offset: so it is where
-        # registration errs, and not where organs have moved beneath the skin. Nobody
-        # knows beforehand which it is.
-        together = 0.5
-        weight, rupture_m, std_m = self._without_contact
-        if contact_m is None:
-            return self._without_contact
-        surface_m = contact_m - self._bound_m[0]
-        alone_std_m = np.hypot(self._contact_std_m, self._offset_std_m)
-        alone = _student_density(surface_m / alone_std_m) / alone_std_m
-        off = _normal_density(surface_m - self.offset_m, self._contact_std_m)
-        weight = weight * (together * off + (1.0 - together) * alone)
-        # A membrane on the surface is pushed in from there, wherever it was planned.
-        rupture_m = rupture_m.copy()
-        rupture_m[:, 0] = np.array([[contact_m], [contact_m + LATE_m]])
-        std_m = std_m.copy()
-        std_m[:, 0, 0] = CONTACT_STD_m, np.hypot(CONTACT_STD_m, LATE_STD_m)
-        return Expectation(weight / weight.sum(), rupture_m, std_m)
-
-    def _weigh(
-        self, expected: Expectation, ruptures_m: Sequence[float]
-    ) -> tuple[Array, Array]:
+    def _weigh(self, ruptures_m: Sequence[float]) -> tuple[Array, Array]:
         """Return the probabilities of each assignment and offset after ruptures.
 
         The second array is the part in which the last rupture was a false alarm.
@@ -178,7 +157,7 @@ class RuptureModel:
         # A rupture may lie so far above the one before it: depths are estimates.
         order_tolerance_m = 1e-3
         false_per_m = 0.5  # false alarms per metre of travel
-        weight = false_alarm = expected.weight
+        weight = false_alarm = self._weight
         deepest_m = -np.inf
         for depth_m in ruptures_m:
             if not np.isfinite(depth_m) or depth_m < deepest_m - order_tolerance_m:
@@ -188,7 +167,7 @@ class RuptureModel:
             deepest_m = max(deepest_m, depth_m)
             false_alarm = false_per_m * weight
             densities = self._at_once_and_late * _normal_density(
-                depth_m - expected.rupture_m, expected.std_m
+                depth_m - self._rupture_m, self._std_m
             )
             in_front = _sum_in_front(weight, self._missed)[:-1]
             matched = in_front * (1.0 - self._missed) * densities.sum(axis=0)
@@ -198,16 +177,15 @@ class RuptureModel:
             false_alarm = false_alarm / total
         return weight, false_alarm
 
-    def quantile_m(self, joint: Array, level: float) -> float:
-        """Return the offset below which a probability lies.
+    def median_m(self, joint: Array) -> float:
+        """Return the median of the offset.
 
         Args:
             joint: Probabilities by boundaries passed and offset.
-            level: The probability.
         """
         marginal = joint.sum(axis=0)
         cumulative = np.cumsum(marginal) - 0.5 * marginal
-        return float(np.interp(level, cumulative, self.offset_m))
+        return float(np.interp(0.5, cumulative, self.offset_m))
 
     def withdraw(self, joint: Array, depth_m: float) -> Array:
         """Return how likely each number of boundaries lies above a withdrawn tip.

@@ -6,21 +6,16 @@ cover more of the right ones elsewhere.
 """
 
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure, words_of
 from needleforce.anatomy.volume import Volume
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
-
-NO_SCAN = "labels not checked against a scan: none was given"
-"""What is said of labels that were read alone."""
 
 MIN_VOXELS = 50
 """Kinds with fewer voxels are not judged: all of them lie at an edge."""
@@ -30,36 +25,39 @@ class _Kind(NamedTuple):
     """What a kind of structure shows in a CT.
 
     Attributes:
+        name: Of the kind.
         low_HU: Least Hounsfield units of its voxels.
         high_HU: Largest of them.
         least: Fraction of its voxels that must lie between these: edges, noise and
             disease take the rest.
-        words: In the names of its structures.
     """
 
+    name: str
     low_HU: float
     high_HU: float
     least: float
-    words: frozenset[str]
+
+    def holds(self, values_HU: Array) -> NDArray[np.bool_]:
+        """Return which values are those of the kind."""
+        return (values_HU >= self.low_HU) & (values_HU <= self.high_HU)
 
 
-BONE = "bone"
+# Marrow of the old has 60 HU and more, a bone's surface at 3 mm voxels, too.
+BONE = _Kind("bone", 60.0, 4000.0, 0.62)
+
+MUSCLE = _Kind("muscle", -100.0, 250.0, 0.6)
 
 KINDS = {
-    # Marrow of the old has 60 HU and more, a bone's surface at 3 mm voxels, too.
-    BONE: _Kind(60.0, 4000.0, 0.62, frozenset()),
-    "lung": _Kind(-1100.0, -350.0, 0.6, frozenset(("lung",))),
-    "liver": _Kind(-50.0, 250.0, 0.75, frozenset(("liver",))),
-    "spleen": _Kind(-40.0, 300.0, 0.7, frozenset(("spleen",))),
-    "kidney": _Kind(-40.0, 400.0, 0.65, frozenset(("kidney",))),
-    "muscle": _Kind(
-        *(-100.0, 250.0, 0.6),
-        frozenset(("muscle", "gluteus", "autochthon", "iliopsoas")),
-    ),
-    "aorta": _Kind(-20.0, 700.0, 0.7, frozenset(("aorta",))),
-    "fat": _Kind(-250.0, -20.0, 0.65, frozenset(("fat",))),
+    "lung": _Kind("lung", -1100.0, -350.0, 0.6),
+    "liver": _Kind("liver", -50.0, 250.0, 0.75),
+    "spleen": _Kind("spleen", -40.0, 300.0, 0.7),
+    "kidney": _Kind("kidney", -40.0, 400.0, 0.65),
+    **dict.fromkeys(("muscle", "gluteus", "autochthon", "iliopsoas"), MUSCLE),
+    "aorta": _Kind("aorta", -20.0, 700.0, 0.7),
+    "fat": _Kind("fat", -250.0, -20.0, 0.65),
 }
-"""Kinds by their names; contrast agent raises vessels, spleen and kidneys."""
+"""Kinds by words in the names of structures, the first one counts; contrast agent
+raises vessels, spleen and kidneys."""
 
 MIXED = frozenset(
     ("cartilage", "cartilages", "lesion", "tumor", "tumour", "cyst", "nodule", "vessel")
@@ -67,7 +65,7 @@ MIXED = frozenset(
 """Words of structures that may show anything, whatever else their names say."""
 
 
-def check_against_scan(labels: "Labels", scan: Volume) -> str:
+def check_against_scan(labels: Segmentation, scan: Volume) -> str:
     """Refuse labels that do not lie where their scan shows what they name.
 
     Returns:
@@ -79,23 +77,18 @@ def check_against_scan(labels: "Labels", scan: Volume) -> str:
             structures, or they would be in another place.
     """
     _require_place(labels, scan)
-    covers = [
-        (kind, points_m)
-        for name, kind in KINDS.items()
-        if len(points_m := _some_points_m(labels, name)) >= MIN_VOXELS
-    ]
+    covers = _some_points_m(labels)
     if not covers:
         return (
             "labels not checked against the scan: none is named as bone, lung, liver "
             "or another structure of known Hounsfield units"
         )
-    for kind, points_m in covers:
+    for kind, points_m in covers.items():
         values_HU = _values_HU(scan, points_m)
-        fraction = float(_are_right(kind, values_HU).mean())
+        fraction = float(kind.holds(values_HU).mean())
         if fraction < kind.least:
-            names = ", ".join(kind.words) or BONE
             raise VolumeError(
-                f"what is labelled as {names} has a median of "
+                f"what is labelled as {kind.name} has a median of "
                 f"{np.median(values_HU):.0f} HU in the scan, {100.0 * fraction:.0f} % "
                 f"of it lies between {kind.low_HU:.0f} and {kind.high_HU:.0f} HU: the "
                 "labels are mirrored, shifted, of another patient, or this is no CT"
@@ -103,11 +96,10 @@ def check_against_scan(labels: "Labels", scan: Volume) -> str:
     # Labels that would cover so much more of the right voxels elsewhere lie wrongly.
     # Right ones lose a tenth and more when they are moved by 10 mm.
     better_fit = 0.05
-    for length_m, direction in product(
-        (9e-3, 16e-3, 24e-3, 34e-3), product((-1.0, 0.0, 1.0), repeat=3)
-    ):
+    lengths_m = (9e-3, 16e-3, 24e-3, 34e-3)
+    for length_m, *direction in product(lengths_m, *[(-1.0, 0.0, 1.0)] * 3):
         shift_m = length_m * np.array(direction) / max(np.linalg.norm(direction), 1.0)
-        gain = np.mean([_gain(*cover, scan, shift_m) for cover in covers])
+        gain = np.mean([_gain(*cover, scan, shift_m) for cover in covers.items()])
         if gain > better_fit:
             raise VolumeError(
                 f"the labels fit the scan better by {100.0 * gain:.0f} % of their "
@@ -117,17 +109,9 @@ def check_against_scan(labels: "Labels", scan: Volume) -> str:
     return ""
 
 
-def _values_HU(scan: Volume, points_m: Array) -> NDArray[np.floating]:
+def _values_HU(scan: Volume, points_m: Array) -> Array:
     """Return what a scan shows at points (n, 3); outside of it -inf."""
-    index = np.rint(scan.grid.indices(points_m)).astype(int)
-    is_inside = np.all((index >= 0) & (index < scan.grid.shape), axis=1)
-    voxels = tuple(np.where(is_inside[:, None], index, 0).T)
-    return np.where(is_inside, scan.values[voxels].astype(float), -np.inf)
-
-
-def _are_right(kind: _Kind, values_HU: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Return which values are those of a kind."""
-    return (values_HU >= kind.low_HU) & (values_HU <= kind.high_HU)
+    return scan.grid.nearest(scan.values, scan.grid.indices(points_m), -np.inf)
 
 
 def _gain(kind: _Kind, points_m: Array, scan: Volume, shift_m: Array) -> float:
@@ -140,40 +124,42 @@ def _gain(kind: _Kind, points_m: Array, scan: Volume, shift_m: Array) -> float:
     if is_inside.sum() < MIN_VOXELS:
         return 0.0
     now_HU = _values_HU(scan, points_m)
-    gains = _are_right(kind, shifted_HU).astype(float) - _are_right(kind, now_HU)
+    gains = kind.holds(shifted_HU).astype(float) - kind.holds(now_HU)
     return float(gains[is_inside].mean())
 
 
-def _some_points_m(labels: "Labels", kind: str) -> Array:
-    """Return the centres (n, 3) of every so many-th voxel of a kind's structures."""
+def _some_points_m(labels: Segmentation) -> dict[_Kind, Array]:
+    """Return centres (n, 3) of some voxels of each kind that has enough of them."""
     max_points = 4000  # voxels of a kind that are looked at
-    indices = [
-        np.argwhere(labels.mask(item.name)) + [side.start for side in item.box]
-        for item in labels.structures
-        if _kind_of(item) == kind
-    ]
-    if not indices:
-        return np.zeros((0, 3))
-    voxels = np.concatenate(indices)
-    return labels.grid.points_m(voxels[:: max(len(voxels) // max_points, 1)])
+    indices: dict[_Kind, list[NDArray[np.integer]]] = {}
+    for item in labels.structures:
+        kind = _kind_of(item)
+        if kind is not None:
+            voxels = np.argwhere(labels.mask(item.name)) + labels.corner(item.name)
+            indices.setdefault(kind, []).append(voxels)
+    joined = {kind: np.concatenate(voxels) for kind, voxels in indices.items()}
+    return {
+        kind: labels.grid.points_m(voxels[:: max(len(voxels) // max_points, 1)])
+        for kind, voxels in joined.items()
+        if len(voxels) >= MIN_VOXELS
+    }
 
 
-def _kind_of(item: Structure) -> str:
-    """Return the kind of a structure by its name; empty for those of no kind."""
+def _kind_of(item: Structure) -> _Kind | None:
+    """Return the kind of a structure by its name; None for those of no kind."""
     words = words_of(item.anatomy)
     if words & MIXED:
-        return ""
+        return None
     if item.is_obstacle:
         return BONE
-    return next((name for name, kind in KINDS.items() if words & kind.words), "")
+    return next((kind for word, kind in KINDS.items() if word in words), None)
 
 
-def _require_place(labels: "Labels", scan: Volume) -> None:
+def _require_place(labels: Segmentation, scan: Volume) -> None:
     """Refuse labels that do not lie where their scan does."""
     max_outside_voxels = 1.0  # labels may lie so far outside: a resampled edge
-    max_shift_voxels = (
-        0.1  # grids of one size that differ by more lie beside each other
-    )
+    # Grids of one size that differ by more lie beside each other.
+    max_shift_voxels = 0.1
     last_index = np.array(scan.grid.shape) - 1.0
     corners = scan.grid.indices(labels.grid.corners_m())
     shift = float(np.minimum(np.abs(corners), np.abs(corners - last_index)).max())

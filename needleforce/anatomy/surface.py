@@ -7,7 +7,7 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,10 +104,10 @@ class Surface:
         sums = np.zeros((len(near), 4))
         sizes = np.linalg.norm(areas_m2, axis=1, keepdims=True)
         np.add.at(sums, row[counts], np.hstack([areas_m2, sizes])[counts])
-        is_found = sums[:, 3] > 0.0
-        means = np.array(normals)
-        means[is_found] = sums[is_found, :3] / sums[is_found, 3:]
-        return means
+        is_found = sums[:, 3:] > 0.0
+        return np.where(
+            is_found, sums[:, :3] / np.where(is_found, sums[:, 3:], 1.0), normals
+        )
 
 
 def closed_surface(
@@ -153,14 +153,10 @@ def join_voxels(
         mask: Which voxels belong to the structure, (i, j, k).
         joined: How many are joined along each axis, (3,).
     """
-    if joined.prod() == 1:
-        return mask
-    sizes = np.array(mask.shape)
-    padded: NDArray[np.bool_] = np.zeros(sizes + -sizes % joined, bool)
-    padded[tuple(map(slice, mask.shape))] = mask
-    # Whole voxels and those of each, by turns along every axis.
-    shape = np.column_stack([-(-sizes // joined), joined]).ravel()
-    counts = padded.reshape(shape.tolist()).sum(axis=(1, 3, 5), dtype=np.int32)
+    from skimage.measure import block_reduce
+
+    blocks: Any = tuple(joined.tolist())
+    counts = block_reduce(mask, blocks, np.sum)
     half = np.ceil(0.5 * joined.prod())
     return counts >= min(half, counts.max())
 

@@ -10,10 +10,7 @@ from scipy.linalg import eigh
 from scipy.spatial.distance import cdist
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import (
-    RegistrationError,
-    require_deviation,
-)
+from needleforce.anatomy.errors import RegistrationError, require_deviation
 from needleforce.anatomy.patient_motion import find_motion
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
@@ -24,12 +21,12 @@ from needleforce.anatomy.registration import (
 )
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.touch_problem import (
-    SURFACE_EDGES,
     Fit,
     Problem,
     SURFACE_REACH_m,
     SURFACE_STD_m,
-    prior_of,
+    edge_factors,
+    state_problem,
 )
 
 TOUCH_STD_m = 0.5e-3
@@ -76,12 +73,10 @@ def fit_surface(
             "below 0.02",
             "Give it in metres, above zero and below 0.1.",
         )
-    pivot_m = touches.mean(axis=0)
-    prior = prior_of(start, pivot_m, softness_m)
-    problem = Problem(surface, touches, pivot_m, prior, touch_std_m, softness_m)
-    fit = problem.fit(problem.prior.pose, still_m=1e-7)
+    problem = state_problem(surface, touches, start, touch_std_m, softness_m)
+    fit = problem.fit(problem.known, still_m=1e-7)
     if fit.median_m > problem.noise_m:
-        fits = [problem.fit(pose) for pose in problem.other_starts(problem.prior.pose)]
+        fits = map(problem.fit, problem.other_starts(problem.known))
         fit = min(fits, key=lambda other: other.median_m)
     # With more, what is left may be a part of another surface.
     max_outliers = 0.35
@@ -112,16 +107,12 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     max_spread_m = 5.0  # beyond it the unit is not the metre
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
     extent_m = float(surface.mesh.scale)
-    is_too_large = max(spread_m, extent_m) > max_spread_m
-    if is_too_large or spread_m / extent_m > MAX_LENGTH_RATIO:
+    max_length_m = min(max_spread_m, MAX_LENGTH_RATIO * extent_m)
+    is_too_large = spread_m > max_length_m or extent_m > max_spread_m
+    if is_too_large or rms_extents_m(touches)[1] < MIN_WIDTH_m:
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
-            f"{extent_m:.3g} m: millimetres for metres?"
-        )
-    _, width_m, _ = rms_extents_m(touches)
-    if width_m < MIN_WIDTH_m:
-        raise RegistrationError(
-            f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line"
+            f"{extent_m:.3g} m: millimetres for metres, or near a point or a line"
         )
     return touches
 
@@ -139,15 +130,15 @@ def _require_no_sliding(problem: Problem, fit: Fit) -> None:
     weak_directions = 3  # a sphere spins about three axes, a plane slides and spins
     jacobian = problem.jacobian
     motion = np.einsum("nij,nik->jk", jacobian, jacobian) / len(jacobian)
-    information = problem.touch_information(fit) + problem.prior.information
+    information = problem.touch_information(fit) + problem.information
     # What is left where the indentation may be any.
     mixed = information[:6, 6]
     pose_information = information[:6, :6] - np.outer(mixed, mixed) / information[6, 6]
     directions = eigh(pose_information, motion)[1][:, :weak_directions].T
     for direction in directions:
         pushed = problem.move(fit.pose, np.append(push_m * direction, 0.0))
-        other = problem.fit(pushed, fit.points_m)
-        away_m = rms_length(other.points_m - fit.points_m)
+        other = problem.fit(pushed, fit.touches.points_m)
+        away_m = rms_length(other.touches.points_m - fit.touches.points_m)
         max_median_m = same_fit * max(fit.median_m, fine_fit * problem.noise_m)
         if away_m > max_stay * push_m and other.median_m < max_median_m:
             raise RegistrationError(
@@ -164,8 +155,8 @@ def _require_no_better(problem: Problem, fit: Fit) -> None:
     far_m = 4e-3  # another solution is another if it lies so far away at the touches
     better_fit = 0.9  # ratio of distances below which another solution fits better
     for pose in problem.other_starts(fit.pose):
-        other = problem.fit(pose, fit.points_m)
-        away_m = rms_length(other.points_m - fit.points_m)
+        other = problem.fit(pose, fit.touches.points_m)
+        away_m = rms_length(other.touches.points_m - fit.touches.points_m)
         if away_m > far_m and other.median_m < better_fit * fit.median_m:
             raise RegistrationError(
                 f"another solution, {1e3 * away_m:.0f} mm away, fits better: the start "
@@ -187,22 +178,20 @@ def _registration(
     Raises:
         RegistrationError: The patient has moved.
     """
-    counted = float(np.count_nonzero(fit.weights))
-    degrees = max(counted - 7.0, 1.0)
+    touches = fit.touches
     touch_information = problem.touch_information(fit)
-    prior_information = problem.prior.information
-    information = touch_information + prior_information
-    inverse = np.linalg.pinv(information, hermitian=True)
-    edges = 1.0 + SURFACE_EDGES * (1.0 - fit.flatness)
+    inverse = np.linalg.pinv(touch_information + problem.information, hermitian=True)
+    edges = edge_factors(touches)
     mean_edges = np.average(edges**2, weights=fit.weights)
     iid_m2 = problem.touch_std_m**2 + problem.spread_m2(fit.pose)
     flat_m2 = max((fit.variance_m2 - iid_m2) / mean_edges, SURFACE_STD_m**2)
-    distance_m = cdist(fit.points_m, fit.points_m)
+    distance_m = cdist(touches.points_m, touches.points_m)
     correlation = np.exp(-0.5 * (distance_m / SURFACE_REACH_m) ** 2)
     errors_m2 = flat_m2 * np.outer(edges, edges) * correlation
     errors_m2 += min(iid_m2, fit.variance_m2) * np.eye(len(distance_m))
-    gain = fit.rows.T * (fit.weights / fit.variance_m2)
-    covariance = inverse @ (gain @ errors_m2 @ gain.T + prior_information) @ inverse
+    gain = touches.rows.T * (fit.weights / fit.variance_m2)
+    errors = gain @ errors_m2 @ gain.T + problem.information
+    covariance = inverse @ errors @ inverse
     pose = fit.pose
     if check:
         motion = find_motion(problem, fit)
@@ -215,27 +204,23 @@ def _registration(
             )
         pose = problem.move(pose, motion.step)
         covariance = covariance + motion.covariance
-    shares = [
-        (float(np.trace(inverse @ touch_information)), degrees),
-        (float(np.trace(inverse @ prior_information)), start_degrees),
-    ]
+    # Degrees of freedom of several sources together (Satterthwaite 1946).
+    shares = np.array(
+        [
+            np.trace(inverse @ touch_information),
+            np.trace(inverse @ problem.information),
+        ]
+    )
+    is_counted = fit.weights > 0.0
+    own_degrees = max(np.count_nonzero(is_counted) - 7.0, 1.0)
+    squares = (shares / shares.sum()) ** 2 / [own_degrees, start_degrees]
     return Registration(
         rotation=pose.rotation,
         translation_m=pose.translation_m,
         covariance=covariance[:6, :6],
         pivot_m=problem.pivot_m,
-        degrees=_join_degrees(shares),
-        residual_rms_m=float(np.sqrt(np.mean(fit.distances_m[fit.weights > 0.0] ** 2))),
+        degrees=float(1.0 / squares.sum()),
+        residual_rms_m=float(np.sqrt(np.mean(touches.distances_m[is_counted] ** 2))),
         indentation_m=pose.indentation_m,
         indentation_std_m=float(np.sqrt(covariance[6, 6])),
     )
-
-
-def _join_degrees(shares: list[tuple[float, float]]) -> float:
-    """Return degrees of freedom of several sources together (Satterthwaite 1946).
-
-    Args:
-        shares: Of each source, what it says and its degrees of freedom.
-    """
-    whole = sum(share for share, _ in shares)
-    return float(1.0 / sum((share / whole) ** 2 / degrees for share, degrees in shares))

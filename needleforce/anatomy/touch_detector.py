@@ -45,10 +45,10 @@ class TouchDetector:
 
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
-        self._sums = np.zeros(7)  # of the samples of this moment: one, tip, force
+        self._samples: list[Array] = []  # of this moment: tip, force
         self._time_s = 0.0
         self._slot_end_s = SLOT_s
-        # Ends of moments, mean places of the tip and mean forces.
+        # Ends of moments, mean places of the tip and mean forces, the latest first.
         self._slots: Array = np.zeros((0, 7))
         self._last_m = np.full(3, np.inf)
 
@@ -60,14 +60,14 @@ class TouchDetector:
             tip_m: Place of the tip in the base, (3,).
             force_N: Force on it in any fixed axes, (3,).
         """
+        kept_s = 60.0  # a touch needs what was felt before it, up to so long ago
         self._time_s += dt_s
-        self._sums += np.concatenate([[1.0], tip_m, force_N])
+        self._samples.append(np.concatenate([tip_m, force_N]))
         if self._time_s < self._slot_end_s:
             return None
-        means = self._sums[1:] / self._sums[0]
-        kept = self._slots[-round(60.0 / SLOT_s) :]
-        self._slots = np.vstack([kept, [self._time_s, *means]])
-        self._sums[:] = 0.0
+        slot = np.append(self._time_s, np.mean(self._samples, axis=0))
+        self._slots = np.vstack([slot, self._slots])[: round(kept_s / SLOT_s)]
+        self._samples.clear()
         self._slot_end_s = self._time_s + SLOT_s
         return self._find_touch()
 
@@ -75,16 +75,15 @@ class TouchDetector:
         """Return where the tip is now, as a touch; None before the first moment."""
         if not len(self._slots):
             return None
-        self._last_m = self._slots[-1][1:4]
+        self._last_m = self._slots[0, 1:4]
         return TipTouch(self._last_m, 0.0)
 
     def _find_touch(self) -> TipTouch | None:
         """Return the touch of the latest second, if it was one."""
         still_m = 0.7e-3  # in a ball of this radius it rests: a hand trembles by less
-        slots = self._slots[::-1]  # the latest first
-        is_recent = slots[:, 0] >= self._time_s - DWELL_s
-        recent = slots[is_recent]
-        older = slots[~is_recent]
+        is_recent = self._slots[:, 0] >= self._time_s - DWELL_s
+        recent = self._slots[is_recent]
+        older = self._slots[~is_recent]
         place_m = recent[:, 1:4].mean(axis=0)
         radius_m = np.linalg.norm(recent[:, 1:4] - place_m, axis=1).max()
         is_new = np.linalg.norm(place_m - self._last_m) >= AWAY_m
@@ -92,9 +91,10 @@ class TouchDetector:
         if radius_m > still_m or not is_new or not is_away.any():
             return None
         # What was felt when the tip was last away from that place.
-        gone = older[int(is_away.argmax()) :]
-        stays = np.append(is_away[int(is_away.argmax()) :], False)
-        free = gone[: min(int(stays.argmin()), round(FREE_s / SLOT_s))]
+        first = int(is_away.argmax())
+        stays = np.append(is_away[first:], False)
+        last = first + min(int(stays.argmin()), round(FREE_s / SLOT_s))
+        free = older[first:last]
         rise_N = recent[:, 4:].mean(axis=0) - free[:, 4:].mean(axis=0)
         force_N = float(np.linalg.norm(rise_N))
         if force_N < self._contact_N:

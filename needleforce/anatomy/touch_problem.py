@@ -6,7 +6,6 @@ is known of how soft the surface is, are prior knowledge of the same unknowns. T
 weights leave out touches that slipped.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -60,44 +59,40 @@ class Pose(NamedTuple):
     indentation_m: float
 
 
+class Measured(NamedTuple):
+    """Touches beside the surface; each array may have further dimensions in front.
+
+    Attributes:
+        points_m: Touches, carried into the model (n, 3).
+        distances_m: From the surface that is pressed in, positive outside, (n,).
+        lengths_m: From the nearest place on it, (n,).
+        rows: Derivatives of the distances by rotation, shift, indentation (n, 7).
+        flatness: Of the surface there, 1 for a plane (n,).
+    """
+
+    points_m: Array
+    distances_m: Array
+    lengths_m: Array
+    rows: Array
+    flatness: Array
+
+
 class Fit(NamedTuple):
     """A solution of the touches.
 
     Attributes:
         pose: The solution.
-        points_m: Touches, carried into the model (n, 3).
-        rows: Derivatives of the distances by rotation, shift, indentation (n, 7).
-        flatness: Of the surface there, 1 for a plane (n,).
-        distances_m: Of the touches from the surface that is pressed in, positive
-            outside.
+        touches: Beside the surface there.
         weights: 0 for touches that slipped, else up to 1.
-        variance_m2: Of these distances.
-        off_prior: From what is known without the touches to the solution, (7,).
+        variance_m2: Of the distances.
         median_m: Median distance from the nearest place: outliers do not matter.
     """
 
     pose: Pose
-    points_m: Array
-    rows: Array
-    flatness: Array
-    distances_m: Array
+    touches: Measured
     weights: Array
     variance_m2: float
-    off_prior: Array
     median_m: float
-
-
-class Prior(NamedTuple):
-    """What is known without the touches.
-
-    Attributes:
-        pose: The most probable one.
-        information: Of a rotation about the touches' mean, a shift, and the
-            indentation, (7, 7).
-    """
-
-    pose: Pose
-    information: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +103,9 @@ class Problem:
         surface: Of the model.
         touches_m: In the robot's base, (n, 3).
         pivot_m: About which the model turns, (3,).
-        prior: What is known without the touches.
+        known: The most probable pose without the touches.
+        information: On a rotation about the pivot, a shift, and the indentation,
+            without the touches, (7, 7).
         touch_std_m: Standard deviation of a touch along each axis.
         softness_m: By up to so much the surface is pressed in.
     """
@@ -116,7 +113,8 @@ class Problem:
     surface: Surface
     touches_m: Array
     pivot_m: Array
-    prior: Prior
+    known: Pose
+    information: Array
     touch_std_m: float
     softness_m: float
 
@@ -153,23 +151,59 @@ class Problem:
         max_rounds = 60  # a usual fit needs some 20
         wide_rounds = 12  # at most so long the touches' own distances say which slipped
         back_m = 0.5e-3  # so near to another solution it is on its way to it
-        rounds = 0
         fit = self._linearise(pose, is_wide=True)
-        while True:
-            rounds += 1
-            pose = self.move(fit.pose, self._step(fit, rounds))
-            points_m = fit.points_m
-            fit = self._linearise(pose, is_wide=rounds < wide_rounds)
-            motion_m = rms_length(fit.points_m - points_m)
-            if rounds < wide_rounds and motion_m < NEARLY_STILL_m:
-                wide_rounds = rounds
-            is_still = rounds > wide_rounds + 1 and motion_m < still_m
+        for number in range(1, max_rounds + 1):
+            points_m = fit.touches.points_m
+            pose = self.move(fit.pose, self._step(fit, number))
+            fit = self._linearise(pose, is_wide=number < wide_rounds)
+            motion_m = rms_length(fit.touches.points_m - points_m)
+            if number < wide_rounds and motion_m < NEARLY_STILL_m:
+                wide_rounds = number
+            is_still = number > wide_rounds + 1 and motion_m < still_m
             is_known = (
                 known_points_m is not None
-                and rms_length(fit.points_m - known_points_m) < back_m
+                and rms_length(fit.touches.points_m - known_points_m) < back_m
             )
-            if is_still or is_known or rounds == max_rounds:
-                return fit
+            if is_still or is_known:
+                break
+        return fit
+
+    def measure(
+        self,
+        rotation: Array,
+        place_m: Array,
+        indentation_m: Array | float,
+        *,
+        is_fine: bool,
+    ) -> Measured:
+        """Return the touches beside the surface, for one pose or for many.
+
+        Args:
+            rotation: From the model to the base, of each touch or of all, (..., 3, 3).
+            place_m: Of the model's origin, likewise, (..., 3).
+            indentation_m: Of the surface, likewise, (...).
+            is_fine: Average normals around each place, so far that they hold hardly any
+                error of the surface.
+        """
+        levers_m = (self.touches_m - place_m)[..., None, :]
+        points_m = (levers_m @ rotation)[..., 0, :]
+        flat_m = points_m.reshape(-1, 3)
+        positions_m, normals = self.surface.nearest(flat_m)
+        off_m = flat_m - positions_m
+        signed_m = np.vecdot(off_m, normals)
+        beside_m2 = np.maximum(np.vecdot(off_m, off_m) - signed_m**2, 0.0)
+        distances_m = signed_m.reshape(points_m.shape[:-1]) + indentation_m
+        lengths_m = np.sqrt(distances_m**2 + beside_m2.reshape(distances_m.shape))
+        if is_fine:
+            around_m = 2.0 * SURFACE_REACH_m
+            normals = self.surface.mean_normals(positions_m, normals, around_m)
+        flatness = np.linalg.norm(normals, axis=1)
+        normals = (normals / flatness[:, None]).reshape(points_m.shape)
+        directions = (rotation @ normals[..., None])[..., 0]
+        rows = np.ones((*distances_m.shape, 7))
+        rows[..., :6] = -np.einsum("...ni,nij->...nj", directions, self.jacobian)
+        flatness = flatness.reshape(distances_m.shape)
+        return Measured(points_m, distances_m, lengths_m, rows, flatness)
 
     def _linearise(self, pose: Pose, *, is_wide: bool) -> Fit:
         """Return the touches at a pose, with distances, derivatives and weights.
@@ -179,65 +213,36 @@ class Problem:
             is_wide: Weigh by the touches' own distances, not by noise alone.
         """
         normal_mad = 1.4826  # standard deviation over median absolute deviation
-        points_m = (self.touches_m - pose.translation_m) @ pose.rotation
-        positions_m, normals = self.surface.nearest(points_m)
-        off_m = points_m - positions_m
-        signed_m = np.vecdot(off_m, normals)
-        distances_m = signed_m + pose.indentation_m
-        beside_m2 = np.maximum(np.vecdot(off_m, off_m) - signed_m**2, 0.0)
-        lengths_m = np.sqrt(distances_m**2 + beside_m2)
-        median_m = float(np.median(lengths_m))
+        touches = self.measure(*pose, is_fine=not is_wide)
+        median_m = float(np.median(touches.lengths_m))
         scale_m = max(normal_mad * median_m, self.noise_m) if is_wide else self.noise_m
-        if not is_wide:
-            # Averaged so far around, normals hold hardly any error of the surface.
-            around_m = 2.0 * SURFACE_REACH_m
-            normals = self.surface.mean_normals(positions_m, normals, around_m)
-        flatness = np.linalg.norm(normals, axis=1)
-        reach_m = TUKEY * scale_m
-        near = 1.0 - np.minimum(lengths_m / reach_m, 1.0) ** 2
-        weights = near**2
-        directions = normals / flatness[:, None] @ pose.rotation.T
-        rows = np.ones((len(points_m), 7))
-        rows[:, :6] = -np.einsum("ni,nij->nj", directions, self.jacobian)
-        return Fit(
-            pose=pose,
-            points_m=points_m,
-            rows=rows,
-            flatness=flatness,
-            distances_m=distances_m,
-            weights=weights,
-            variance_m2=self._variance_m2(pose, distances_m, weights, flatness),
-            off_prior=self.off_prior(pose),
-            median_m=median_m,
-        )
+        weights = tukey_weights(touches.lengths_m, TUKEY * scale_m)
+        variance_m2 = self._variance_m2(pose, touches, weights)
+        return Fit(pose, touches, weights, variance_m2, median_m)
 
     def spread_m2(self, pose: Pose) -> float:
         """Return the variance of how far single touches press the surface in."""
         return (SPREAD_OF_SOFTNESS * pose.indentation_m) ** 2
 
-    def _variance_m2(
-        self, pose: Pose, distances_m: Array, weights: Array, flatness: Array
-    ) -> float:
+    def _variance_m2(self, pose: Pose, touches: Measured, weights: Array) -> float:
         """Return the variance of distances, by themselves and by what is stated."""
         stated = 4.0  # distances for which the stated deviations count
-        edges = 1.0 + SURFACE_EDGES * (1.0 - flatness)
-        surface_m2 = SURFACE_STD_m**2 * np.average(edges**2)
+        surface_m2 = SURFACE_STD_m**2 * np.average(edge_factors(touches) ** 2)
         stated_m2 = self.touch_std_m**2 + self.spread_m2(pose) + surface_m2
-        total = float(weights.sum())
         counted = float(np.count_nonzero(weights))
         degrees = max(counted - 7.0, 0.0)
-        observed_m2 = weights @ distances_m**2 / total if total > 0.0 else 0.0
+        squares_m2 = weights @ touches.distances_m**2
+        observed_m2 = squares_m2 / max(weights.sum(), 1e-300)
         observed_m2 *= counted / max(degrees, 1.0)
         return float((stated * stated_m2 + degrees * observed_m2) / (stated + degrees))
 
-    def off_prior(self, pose: Pose) -> Array:
+    def off_known(self, pose: Pose) -> Array:
         """Return how far a pose lies from what is known without the touches, (7,)."""
-        known = self.prior.pose
+        known = self.known
         turn = small_turn(pose.rotation @ known.rotation.T)
         pivot_in_model_m = (self.pivot_m - known.translation_m) @ known.rotation
         shift_m = pose.rotation @ pivot_in_model_m + pose.translation_m - self.pivot_m
-        indentation_m = pose.indentation_m - known.indentation_m
-        return np.concatenate([turn, shift_m, [indentation_m]])
+        return np.array([*turn, *shift_m, pose.indentation_m - known.indentation_m])
 
     def _step(self, fit: Fit, number: int) -> Array:
         """Return a step of Gauss and Newton, (7,)."""
@@ -247,19 +252,21 @@ class Problem:
         small_hold = 1e-6
         rotations, shifts = np.split(np.diag(information)[:6], 2)
         hold = np.repeat([rotations.sum(), shifts.sum(), 0.0], [3, 3, 1])
-        information = information + self.prior.information + small_hold * np.diag(hold)
-        gradient = fit.rows.T @ (fit.weights * fit.distances_m) / fit.variance_m2
-        gradient = gradient + self.prior.information @ fit.off_prior
+        information = information + self.information + small_hold * np.diag(hold)
+        touches = fit.touches
+        gradient = touches.rows.T @ (fit.weights * touches.distances_m)
+        gradient = gradient / fit.variance_m2
+        gradient = gradient + self.information @ self.off_known(fit.pose)
         # Later steps are shorter: from facet to facet they would go back and forth.
         full_steps = 8.0
         scale = np.sqrt(np.diag(information))  # radians beside metres
         scaled = np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale)
-        step = -scaled[0] / scale
-        return np.asarray(step * min(1.0, full_steps / number), dtype=np.float64)
+        return np.asarray(-scaled[0] / scale * min(1.0, full_steps / number))
 
     def touch_information(self, fit: Fit) -> Array:
         """Return what the touches say of the unknowns, (7, 7)."""
-        return fit.rows.T @ (fit.weights[:, None] * fit.rows) / fit.variance_m2
+        rows = fit.touches.rows
+        return rows.T @ (fit.weights[:, None] * rows) / fit.variance_m2
 
     def move(self, pose: Pose, step: Array) -> Pose:
         """Return a pose turned about the touches' mean, shifted and pressed in."""
@@ -271,21 +278,39 @@ class Problem:
             pose.indentation_m + float(step[6]),
         )
 
-    def other_starts(self, pose: Pose) -> Iterator[Pose]:
-        """Yield a pose turned about and shifted along each axis, either way."""
+    def other_starts(self, pose: Pose) -> list[Pose]:
+        """Return a pose turned about and shifted along each axis, either way."""
         tries = np.diag([0.2] * 3 + [12e-3] * 3 + [0.0])[:6]  # [rad], [m]
-        for step in (*tries, *-tries):
-            yield self.move(pose, step)
+        return [self.move(pose, step) for step in (*tries, *-tries)]
 
 
-def prior_of(start: Registration, pivot_m: Array, softness_m: float) -> Prior:
-    """Return what landmarks and the softness of the surface say.
+def tukey_weights(lengths_m: Array, reach_m: float) -> Array:
+    """Return Tukey's weights: 1 at the surface, 0 from a distance on."""
+    return np.maximum(1.0 - (lengths_m / reach_m) ** 2, 0.0) ** 2
+
+
+def edge_factors(touches: Measured) -> Array:
+    """Return by how much the surface's error is larger at touches towards edges."""
+    return 1.0 + SURFACE_EDGES * (1.0 - touches.flatness)
+
+
+def state_problem(
+    surface: Surface,
+    touches_m: Array,
+    start: Registration,
+    touch_std_m: float,
+    softness_m: float,
+) -> Problem:
+    """Return the touches, and what landmarks and the softness of the surface say.
 
     Args:
+        surface: Of the model.
+        touches_m: In the robot's base, (n, 3).
         start: By landmarks.
-        pivot_m: About which the model turns, (3,).
+        touch_std_m: Standard deviation of a touch along each axis.
         softness_m: By up to so much the surface is pressed in.
     """
+    pivot_m = touches_m.mean(axis=0)
     information = 1e-4 * np.eye(7)  # a hundred metres and radians: nothing
     least_known_m = 0.1  # landmarks that say less only pull at what nothing holds
     if start.tre_m(start.to_model(pivot_m)) < least_known_m:  # and not nan
@@ -298,4 +323,6 @@ def prior_of(start: Registration, pivot_m: Array, softness_m: float) -> Prior:
     indentation_std_m = max(softness_m / 3.0, 1e-6)
     information[6, 6] = 1.0 / indentation_std_m**2
     pose = Pose(start.rotation, start.translation_m, 0.5 * softness_m)
-    return Prior(pose, information)
+    return Problem(
+        surface, touches_m, pivot_m, pose, information, touch_std_m, softness_m
+    )

@@ -49,10 +49,9 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
     import SimpleITK
 
     try:
-        with Path(path).open("rb") as file:
-            is_hdf5 = file.read(4) == b"\x89HDF"
+        # The HDF5 library prints pages about other files.
+        is_hdf5 = Path(path).read_bytes()[:4] == b"\x89HDF"
         if is_hdf5 != str(path).endswith((".h5", ".hdf5")):
-            # The HDF5 library prints pages about other files.
             raise OSError("it is not what its name says")
         transform = SimpleITK.ReadTransform(str(path))
     except (OSError, RuntimeError) as error:
@@ -63,21 +62,17 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         raise VolumeError(f"{path} is a {transform.GetName()}: expected a rigid motion")
     shift_mm = np.array(transform.TransformPoint(np.zeros(3).tolist()))
     images_mm = [transform.TransformPoint(axis.tolist()) for axis in np.eye(3)]
-    matrix = (np.array(images_mm) - shift_mm).T
-    left, stretches, right = np.linalg.svd(matrix)
-    if np.abs(stretches - 1.0).max() > max_stretch or np.linalg.det(matrix) < 0.0:
-        raise VolumeError(
-            f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}, or "
-            "is a mirror image: expected a rigid motion"
-        )
+    left, stretches, right = np.linalg.svd((np.array(images_mm) - shift_mm).T)
     rotation = left @ right
+    distance_m = m_per_mm * np.linalg.norm(shift_mm)
+    is_rigid = np.abs(stretches - 1.0).max() <= max_stretch
+    if not is_rigid or np.linalg.det(rotation) < 0.0 or distance_m > max_distance_m:
+        raise VolumeError(
+            f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}, is a "
+            f"mirror image, or carries the CT {distance_m:.3g} m away: expected a "
+            "rigid motion in millimetres"
+        )
     if source == "slicer":
         rotation = RAS_TO_LPS[:, None] * rotation.T
         shift_mm = -rotation @ shift_mm
-    translation_m = m_per_mm * shift_mm
-    if np.linalg.norm(translation_m) > max_distance_m:
-        raise VolumeError(
-            f"{path} carries the CT {np.linalg.norm(translation_m):.3g} m away: "
-            "expected millimetres"
-        )
-    return RigidTransform(rotation, translation_m)
+    return RigidTransform(rotation, m_per_mm * shift_mm)

@@ -50,6 +50,21 @@ class Grid:
             self.axes_m
         ).T
 
+    def nearest(
+        self, values: NDArray[Any], indices: NDArray[Any], outside: float = 0
+    ) -> NDArray[Any]:
+        """Return the values of the voxels nearest to indices (..., 3), shape (...).
+
+        Args:
+            values: Of the grid's voxels, (i, j, k).
+            indices: With fractions.
+            outside: What stands beyond the grid.
+        """
+        voxels = np.rint(indices).astype(np.int32)
+        is_valid = np.all((voxels >= 0) & (voxels < self.shape), axis=-1)
+        places = tuple(np.moveaxis(np.where(is_valid[..., None], voxels, 0), -1, 0))
+        return np.where(is_valid, values[places], outside)
+
     def corners_m(self, box: Sequence[slice] = ()) -> Array:
         """Return the centres of the voxels in the eight corners, shape (8, 3).
 

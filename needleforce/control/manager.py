@@ -254,10 +254,10 @@ class Manager:
         if 0.0 < as_float(dt_s) <= MAX_SAMPLE_STEP_s:
             self._step_s = as_float(dt_s)
         self._time_s += self._step_s
-        names = ("q_rad", "dq_rad_s", "tau_Nm")
-        signals: list[Any] = [getattr(sample, name, None) for name in names]
-        q_rad, dq_rad_s, tau_Nm = signals
-        estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
+        q: Any = getattr(sample, "q_rad", None)
+        dq: Any = getattr(sample, "dq_rad_s", None)
+        tau: Any = getattr(sample, "tau_Nm", None)
+        estimate = self.session.update(q, dq, tau, dt_s)
         self._entry.update(estimate, self.session.zero)
         has_ended = self._tare.after(self.session, estimate)
         if has_ended and self._state is State.TARE and not self._check_tare():

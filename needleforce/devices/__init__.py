@@ -7,7 +7,7 @@ a `LinkReport`, never handed on.
 
 Reading order: `link` (what a device offers, readings, reports), `errors`,
 `datagram_link` (UDP), `arm_limits` and `guard` (the last thing before every arm),
-`cycle_counter` and `controller_link` (controllers that send a packet a cycle), `fri`
+`controller_link` (controllers that send a packet a cycle), `fri`
 (KUKA LWR 4+), `sunrise_messages` and `sunrise` (KUKA LBR iiwa), `client_arm` (arms
 behind a vendor's client library), `franka` (FER, FR3), `ur` (UR e-Series), `rdt` (ATI
 Net F/T), `haply`, `arm_names` (any arm by a name of one line).

@@ -16,12 +16,6 @@ from needleforce.devices.fri import FriArm
 from needleforce.devices.sunrise import IiwaArm
 from needleforce.devices.ur import UrArm
 
-LISTENING_KINDS = ("fri", "iiwa")
-"""Arms whose controller sends to this machine."""
-
-CALLED_KINDS = ("fr3", "franka", "ur")
-"""Arms that are connected to at their own address."""
-
 LISTENING_NAME = re.compile(
     r"(?P<kind>fri|iiwa)(:(?P<host>[^:@]*[^:@\d][^:@]*))?(:(?P<port>\d+))?"
     r"(@(?P<peer>.+))?"

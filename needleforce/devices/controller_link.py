@@ -4,7 +4,6 @@ from abc import abstractmethod
 from time import monotonic
 from typing import Any
 
-from needleforce.devices.cycle_counter import CycleCounter
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S, ArmReading
@@ -40,12 +39,10 @@ class ControllerLink(GuardedArm, DatagramLink):
         give_up_s: float,
         robot: Any,
     ) -> None:
-        self._set_patience(give_up_s)
-        super().__init__(host, port, peer=peer)
-        self.robot = robot
-        self.joints = joints
-        self._guard = self._make_guard()
-        self._counter = CycleCounter(counts, monotonic())
+        super().__init__(joints, robot, give_up_s, host=host, port=port, peer=peer)
+        self._counts = counts
+        self._latest_count: int | None = None
+        self._latest_s = monotonic()  # when the latest packet was read
 
     def _read(self, wait_s: float) -> ArmReading | None:
         data = self._receive(wait_s)
@@ -56,7 +53,7 @@ class ControllerLink(GuardedArm, DatagramLink):
 
     def _lose(self) -> None:
         self._lose_controller()
-        self._forget_port()  # it may come back on another
+        self.peer = None  # it may come back on another port
 
     def close(self) -> None:
         """Brake the arm to rest while its controller asks, and end the connection."""
@@ -83,6 +80,10 @@ class ControllerLink(GuardedArm, DatagramLink):
     def _count_cycles(self, count: int, period_s: float) -> int | None:
         """Return how many cycles a valid packet is later; count it, keep its sender.
 
+        The counter says so. After a silence the controller may count anew, and after a
+        long pause of this program its counter may have gone round: our own clock says
+        it then.
+
         Args:
             count: Its number.
             period_s: Time of a cycle.
@@ -90,13 +91,27 @@ class ControllerLink(GuardedArm, DatagramLink):
         Returns:
             The cycles; None for a packet that is not newer.
         """
+        # No more time than this is counted, and a longer pause drops what waits.
+        max_counted_gap_s = 1.0
         now_s = monotonic()
-        cycles = self._counter.cycles_to(count, period_s, now_s, self._empty_s)
-        if cycles is None:
+        gap_s = now_s - self._latest_s
+        cycles = 1
+        if self._latest_count is not None:
+            cycles = (count - self._latest_count) % self._counts
+            if self._is_silent:
+                cycles = min(cycles, 1) * max(round(gap_s / period_s), 1)
+            elif gap_s > max_counted_gap_s:
+                self.drop_waiting()
+                self._is_silent = True
+                return None
+            elif cycles * period_s > max_counted_gap_s:
+                cycles = 0
+        if not cycles:
             self.report.stale += 1
             return None
 
         self._keep_sender()
-        self._counter.accept(count, now_s, self._empty_s)
+        self._latest_count = count
+        self._latest_s = now_s
         self.report.count_used(cycles, cycles * period_s)
         return cycles

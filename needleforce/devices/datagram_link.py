@@ -6,7 +6,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from needleforce.devices.errors import DeviceSettingError, LinkError
-from needleforce.devices.link import Link, run_within
+from needleforce.devices.link import Link
 
 LOOPBACK = "127.0.0.1"
 """Where links bind and connect unless an address is named."""
@@ -15,16 +15,6 @@ MAX_PORT = 65535
 
 MAX_DATAGRAM_BYTES = 65536
 """No datagram of UDP is longer."""
-
-RECEIVE_BUFFER_BYTES = 1 << 17
-"""Room for datagrams that wait to be read: no more than usual, old ones are stale."""
-
-MAX_FOREIGN_S = 2e-3
-"""So long beyond its deadline a link looks for a datagram of its peer among foreign
-ones."""
-
-MAX_LOOK_UP_S = 2.0
-"""So long the address of a name is looked up."""
 
 
 class Endpoint(NamedTuple):
@@ -46,7 +36,7 @@ def resolve_host(host: str) -> str:
         LinkError: The name is unknown.
     """
     try:
-        return run_within(MAX_LOOK_UP_S, lambda: socket.gethostbyname(host))
+        return socket.gethostbyname(host)
     except (OSError, ValueError) as error:
         raise LinkError(
             f"{host!r} is no address and no name that is known here: {error}",
@@ -54,15 +44,12 @@ def resolve_host(host: str) -> str:
 
 
 class DatagramLink(Link):
-    """A link over UDP with one peer; datagrams from elsewhere are dropped.
-
-    Once the peer is known the kernel drops them; those that came before are counted.
+    """A link over UDP with one peer; datagrams from elsewhere are counted and dropped.
 
     Args:
         host: Address of this machine to bind to.
         port: To bind to; 0 for any free one.
         peer: Address or name of the only host that is listened to; None for any.
-        buffer_bytes: Room for datagrams that wait to be read.
 
     Attributes:
         address: Where it listens.
@@ -76,14 +63,7 @@ class DatagramLink(Link):
         DeviceSettingError: A port outside 0 to 65535.
     """
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        *,
-        peer: str | None = None,
-        buffer_bytes: int = RECEIVE_BUFFER_BYTES,
-    ) -> None:
+    def __init__(self, host: str, port: int, *, peer: str | None = None) -> None:
         if not 0 <= port <= MAX_PORT:
             raise DeviceSettingError(
                 f"port {port}: expected 0 to {MAX_PORT} (0: any free one)"
@@ -94,68 +74,48 @@ class DatagramLink(Link):
         self._peer_host = peer and resolve_host(peer)
         self.sender: Endpoint | None = None
         self.peer: Endpoint | None = None
-        self._buffer_bytes = buffer_bytes
-        self._socket = self._bind(host, port)
-        self.address = Endpoint(*self._socket.getsockname())
-        self._bound = self.address  # which connecting changes from any to one
-        self._connected: Endpoint | None = None
-        self._empty_s = monotonic()
-        """When nothing waited to be read for the last time: what came, came later."""
-
-    def _bind(self, host: str, port: int) -> socket.socket:
-        """Return a socket that listens on an address of this machine."""
-        new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer_bytes)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # Room for datagrams that wait to be read: no more than usual, old ones are
+        # stale.
+        buffer_bytes = 1 << 17
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
         try:
-            new.bind((host, port))
+            self._socket.bind((host, port))
         except OSError as error:
-            new.close()
+            self._socket.close()
             raise LinkError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}",
                 "End the other program that uses the port, or give an "
                 "address of this machine.",
             ) from error
 
-        return new
+        self.address = Endpoint(*self._socket.getsockname())
 
-    def _receive(
-        self, timeout_s: float, max_bytes: int = MAX_DATAGRAM_BYTES
-    ) -> bytes | None:
-        """Return the next datagram that may be the peer's.
+    def _receive(self, timeout_s: float) -> bytes | None:
+        """Return the next datagram that may be the peer's; None if none comes in time.
 
         Args:
-            max_bytes: A longer one is cut off there.
-            timeout_s: How long it is waited for; 0: only what waits already. Foreign
-                datagrams delay the return by `MAX_FOREIGN_S` at most.
-
-        Returns:
-            Its bytes; None when none came in time.
+            timeout_s: How long it is waited for; 0: only what waits already.
         """
+        # So long beyond the deadline it is looked for among foreign ones.
+        max_foreign_s = 2e-3
         deadline_s = monotonic() + timeout_s
-        is_empty = False
-        while True:
-            asked_s = monotonic()
-            self._socket.settimeout(max(deadline_s - asked_s, 0.0) if is_empty else 0.0)
+        wait_s = timeout_s
+        while wait_s > -max_foreign_s:
+            self._socket.settimeout(max(wait_s, 0.0))
             try:
-                data, address = self._socket.recvfrom(max_bytes)
+                data, address = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
             except (TimeoutError, BlockingIOError):
-                self._empty_s = asked_s
-                is_empty = True
-                if asked_s >= deadline_s:
-                    return None
+                return None
 
-                continue
-            except ConnectionError:  # what was sent before found nobody listening
-                continue
-
-            sender = Endpoint(*address)
-            if self._is_peer(sender):
-                self.sender = sender
+            self.sender = Endpoint(*address)
+            is_host = self._peer_host in (None, self.sender.host)
+            if is_host and self.peer in (None, self.sender):
                 return data
 
             self.report.foreign += 1
-            if monotonic() >= deadline_s + MAX_FOREIGN_S:
-                return None
+            wait_s = deadline_s - monotonic()
+        return None
 
     def drop_waiting(self) -> None:
         """Drop the datagrams that wait to be read: they tell of the past."""
@@ -166,53 +126,18 @@ class DatagramLink(Link):
         deadline_s = monotonic() + max_drop_s
         with suppress(BlockingIOError):
             while monotonic() < deadline_s:
-                with suppress(ConnectionError):  # as in `_receive`
-                    self._socket.recv(MAX_DATAGRAM_BYTES)
-        self._empty_s = monotonic()
+                self._socket.recv(MAX_DATAGRAM_BYTES)
 
     def _keep_sender(self) -> None:
         """Listen only to the sender of the latest datagram from now on."""
-        if self.sender is not None and self.peer != self.sender:
-            self._keep_peer(self.sender)
-            self._peer_host = self.sender.host
+        self.peer = self.sender
+        self._peer_host = self.sender and self.sender.host
 
-    def _keep_peer(self, peer: Endpoint) -> None:
-        """Let the kernel drop what others send, before it takes a reading's time."""
-        self.peer = peer
-        with suppress(OSError):  # a peer that cannot be reached is a silent one
-            self._socket.connect(peer)
-            self._connected = peer
-
-    def _forget_port(self) -> None:
-        """Listen to any port of the peer's host: it may have been started anew.
-
-        Raises:
-            LinkError: Another program has taken our port meanwhile.
-        """
-        self.peer = None
-        if self._connected is not None:
-            # Python cannot undo `connect`.
-            self._connected = None
-            self._socket.close()
-            self._socket = self._bind(*self._bound)
-
-    def _is_peer(self, sender: Endpoint) -> bool:
-        """Return whether a datagram from there may be the peer's."""
-        is_host = self._peer_host is None or sender.host == self._peer_host
-        return is_host and self.peer in (None, sender)
-
-    def _send(self, data: bytes, receiver: Endpoint | None = None) -> None:
-        """Send to the peer, or to another receiver.
-
-        What the network refuses is lost, as on a wire.
-        """
-        receiver = receiver or self.peer
-        if receiver is not None:
+    def _send(self, data: bytes) -> None:
+        """Send to the peer; what the network refuses is lost, as on a wire."""
+        if self.peer is not None:
             with suppress(OSError):
-                if receiver == self._connected:
-                    self._socket.send(data)
-                else:
-                    self._socket.sendto(data, receiver)
+                self._socket.sendto(data, self.peer)
 
     def close(self) -> None:
         """End the readings, and free the port."""

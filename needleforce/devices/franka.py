@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.devices.client_arm import ArmSignals, ClientArm
+from needleforce.devices.client_arm import ClientArm, StampedReading
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import import_client
-from needleforce.devices.link import GIVE_UP_S
+from needleforce.devices.link import GIVE_UP_S, ArmReading
 
 JOINTS = 7
 PERIOD_S = 1e-3
@@ -57,39 +57,40 @@ class FrankaArm(ClientArm):
         robot: Any = None,
     ) -> None:
         self._library = import_client("franky", "franky-control")
+        self.client: Any = None
+        self._state_ms = -1  # time of the latest state
         super().__init__(
             host,
             JOINTS,
             PERIOD_S,
+            (RuntimeError, self._library.Exception),
             takes_commands=takes_commands,
             give_up_s=give_up_s,
             robot=robot,
         )
-        self.client: Any = None
-        self._state_ms = -1  # time of the latest state
-        self._open()
 
     def _connect(self) -> None:
         self.client = None  # an arm serves one connection at a time
         real_time = self._library.RealtimeConfig.Ignore
         self.client = self._library.Robot(self._host, realtime_config=real_time)
 
-    def _errors(self) -> tuple[type[Exception], ...]:
-        return (RuntimeError, self._library.Exception)
-
-    def _read_client(self) -> ArmSignals | None:
+    def _read_client(self) -> StampedReading | None:
         state = self.client.state
         state_ms = state.time.to_msec()
         if state_ms == self._state_ms:
             return None
         self._state_ms = state_ms
-        return ArmSignals(
-            time_s=1e-3 * state_ms,
+        reading = ArmReading(
+            dt_s=PERIOD_S,
             q_rad=np.array(state.q),
             dq_rad_s=np.array(state.dq),
-            effort=np.array(state.tau_J),
+            tau_Nm=np.array(state.tau_J),
             external_Nm=np.array(state.tau_ext_hat_filtered),
+            missed=0,
+            accepts_commands=False,
+            is_real=True,
         )
+        return 1e-3 * state_ms, reading
 
     def _move(self, velocity_rad_s: Array | None) -> None:
         if velocity_rad_s is None:

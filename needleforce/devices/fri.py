@@ -102,27 +102,19 @@ def read_measurement(data: bytes) -> np.void | None:
         return None
 
     measurement = np.frombuffer(data, MEASUREMENT)[0]
-    is_kind = measurement["kind"] == MEASUREMENT_KIND
-    is_size = measurement["size"] == MEASUREMENT.itemsize
-    is_state = measurement["state"] <= max(FriState)
-    is_quality = measurement["quality"] <= max(FriQuality)
     # Periods between which a measurement is valid.
     min_period_s = 0.5e-3
     max_period_s = 0.1
-    is_period = min_period_s < measurement["period_s"] <= max_period_s
-    if not (is_kind and is_size and is_state and is_quality and is_period):
-        return None
-
-    signals = (
-        measurement["stamp_s"],
-        measurement["position_rad"],
-        measurement["commanded_rad"],
-        measurement["added_rad"],
-        measurement["torque_Nm"],
-        measurement["external_Nm"],
+    signals = ("position_rad", "commanded_rad", "added_rad", "torque_Nm", "external_Nm")
+    is_valid = (
+        measurement["kind"] == MEASUREMENT_KIND
+        and measurement["size"] == MEASUREMENT.itemsize
+        and measurement["state"] <= max(FriState)
+        and measurement["quality"] <= max(FriQuality)
+        and min_period_s < measurement["period_s"] <= max_period_s
+        and all(np.isfinite(measurement[signal]).all() for signal in signals)
     )
-    is_finite = all(np.isfinite(signal).all() for signal in signals)
-    return measurement if is_finite else None
+    return measurement if is_valid else None
 
 
 class FriArm(ControllerLink):

@@ -11,6 +11,8 @@ import math
 import signal
 import threading
 from abc import abstractmethod
+from collections.abc import Iterator
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +21,8 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.jit import compile_waiting
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
-from needleforce.devices.errors import DeviceSettingError
-from needleforce.devices.link import ArmLink
+from needleforce.devices.errors import DeviceSettingError, LinkError
+from needleforce.devices.link import SILENCE_S, ArmReading, Link
 from needleforce.devices.rate_limiter import write_velocity_bounds
 
 if TYPE_CHECKING:
@@ -98,10 +100,10 @@ class Guard:
         try:
             wanted = np.array(velocity_rad_s, dtype=float)
         except (TypeError, ValueError):
-            return self.refuse(f"got {velocity_rad_s!r:.80}; expected numbers")
+            wanted = np.empty(0)
         if wanted.shape != (self._joints,) or not math.isfinite(wanted.sum()):
             return self.refuse(
-                f"got {wanted.tolist()!s:.80}; expected {self._joints} finite numbers"
+                f"got {velocity_rad_s!r:.80}; expected {self._joints} finite numbers"
             )
         speed_rad_s = np.abs(wanted)
         # Times the arm's highest speed: what is above was not meant, in degrees
@@ -206,19 +208,46 @@ def _limit_rows(preset: ArmLimits, robot: Any, cycle_s: float) -> Array:
     )
 
 
-class GuardedArm(ArmLink):
-    """What arms that take commands have in common.
+class GuardedArm(Link):
+    """An arm that is iterated over and takes commands through a guard.
+
+    Silence is reported by `on_silence` and in the report; after `give_up_s` of it the
+    arm is lost. Whoever iterates again waits for it again.
+
+    Args:
+        joints: How many the arm has.
+        robot: Its model, or None.
+        give_up_s: So long a silence is waited for.
+        cycle_s: Between two commands; None: as its limits name it.
+        hold_cycles: So long a velocity holds, see `Guard`.
+        link: Arguments of the connection below.
 
     Attributes:
+        joints: How many the arm has.
+        robot: The model of the arm, or None.
+        give_up_s: So long a silence is waited for.
         preset: Its limits, or their name in `ARM_LIMITS`.
+
+    Raises:
+        DeviceSettingError: A time that cannot be, or limits of another arm.
     """
 
     preset: str | ArmLimits
-    _guard: Guard
-    _closes_at_exit = False
 
-    def _make_guard(self, cycle_s: float | None = None, hold_cycles: int = 5) -> Guard:
-        """Return the guard of the arm's commands; its usual cycle without one."""
+    def __init__(
+        self,
+        joints: int,
+        robot: Any,
+        give_up_s: float,
+        *,
+        cycle_s: float | None = None,
+        hold_cycles: int = 5,
+        **link: Any,
+    ) -> None:
+        if not SILENCE_S <= give_up_s < math.inf:
+            raise DeviceSettingError(
+                f"{give_up_s=}: expected seconds, at least {SILENCE_S:g}"
+            )
         limits = self.preset
         if isinstance(limits, str):
             if limits not in ARM_LIMITS:
@@ -227,12 +256,50 @@ class GuardedArm(ArmLink):
                     f"{', '.join(ARM_LIMITS)}"
                 )
             limits = ARM_LIMITS[limits]
-        if len(limits.speed_rad_s) != self.joints:
+        if len(limits.speed_rad_s) != joints:
             raise DeviceSettingError(
                 f"limits of {len(limits.speed_rad_s)} joints; expected those of "
-                f"{self.joints}"
+                f"{joints}"
             )
-        return Guard(limits, cycle_s or limits.cycle_s, self.robot, hold_cycles)
+        super().__init__(**link)
+        self.joints = joints
+        self.robot = robot
+        self.give_up_s = give_up_s
+        self._guard = Guard(limits, cycle_s or limits.cycle_s, robot, hold_cycles)
+        self._closes_at_exit = False
+
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield readings as they come.
+
+        Raises:
+            LinkError: Nothing valid came for `give_up_s`, or an arm that is commanded
+                has stopped.
+        """
+        self._heard_s = monotonic()
+        while self._is_open:
+            reading = self._read(SILENCE_S)
+            if reading is not None:
+                self._hear()
+                yield reading
+                self._heard_s = monotonic()
+            elif self._is_open and (silent_s := self._count_silence()) > 0.0:
+                self._lose()
+                if silent_s >= self.give_up_s:
+                    raise LinkError(
+                        f"the arm {self._place()} has been silent for {silent_s:.1f} s "
+                        f"({self.report})"
+                    )
+
+    @abstractmethod
+    def _read(self, wait_s: float) -> ArmReading | None:
+        """Return the next valid reading; None if none comes in time."""
+
+    @abstractmethod
+    def _place(self) -> str:
+        """Return where the arm is expected, for messages."""
+
+    def _lose(self) -> None:
+        """Note that the arm is silent."""
 
     @property
     def limits(self) -> "Limits":

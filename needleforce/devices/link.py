@@ -5,18 +5,14 @@ None. Arms and haptic devices satisfy the protocols of `needleforce.control.port
 the simulated ones do.
 """
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
-from queue import Empty, SimpleQueue
-from threading import Thread
 from time import monotonic, sleep
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import NamedTuple, Self
 
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.errors import DeviceSettingError, LinkError
 
 SILENCE_S = 0.1
 """A longer time without a valid reading is a silence."""
@@ -110,10 +106,6 @@ class LinkReport:
         return text or "nothing received"
 
 
-def _ignore(_silent_s: float) -> None:
-    """Do nothing about a silence."""
-
-
 class Link:
     """A connection to a device; at the end of a ``with`` statement it closes itself.
 
@@ -125,7 +117,7 @@ class Link:
 
     def __init__(self) -> None:
         self.report = LinkReport()
-        self.on_silence: Callable[[float], None] = _ignore
+        self.on_silence: Callable[[float], None] = lambda silent_s: None
         self._is_open = True
         self._heard_s = monotonic()  # when something valid came, or was waited for
         self._is_silent = False
@@ -174,96 +166,6 @@ class Link:
     def __exit__(self, *error: object) -> None:
         """Close the link."""
         self.close()
-
-
-class ArmLink(Link):
-    """An arm that is iterated over; one deadline and one way back for all of them.
-
-    Silence is reported by `on_silence` and in the report; after `give_up_s` of it the
-    arm is lost. Whoever iterates again waits for it again.
-
-    Attributes:
-        joints: How many the arm has.
-        robot: The model of the arm, or None.
-        give_up_s: So long a silence is waited for.
-    """
-
-    joints: int
-    robot: Any
-    give_up_s: float = GIVE_UP_S
-
-    def _set_patience(self, give_up_s: float) -> None:
-        """Set `give_up_s`; `DeviceSettingError` if it cannot be."""
-        if not SILENCE_S <= give_up_s < float("inf"):
-            raise DeviceSettingError(
-                f"{give_up_s=}: expected seconds, at least {SILENCE_S:g}"
-            )
-        self.give_up_s = give_up_s
-
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come.
-
-        Raises:
-            LinkError: Nothing valid came for `give_up_s`, or an arm that is commanded
-                has stopped.
-        """
-        self._heard_s = monotonic()
-        while self._is_open:
-            reading = self._read(SILENCE_S)
-            if reading is not None:
-                self._hear()
-                yield reading
-                self._heard_s = monotonic()
-            elif self._is_open and (silent_s := self._count_silence()) > 0.0:
-                self._lose()
-                if silent_s >= self.give_up_s:
-                    raise LinkError(
-                        f"the arm {self._place()} has been silent for {silent_s:.1f} s "
-                        f"({self.report})"
-                    )
-
-    @abstractmethod
-    def _read(self, wait_s: float) -> ArmReading | None:
-        """Return the next valid reading; None if none comes in time."""
-
-    @abstractmethod
-    def _place(self) -> str:
-        """Return where the arm is expected, for messages."""
-
-    def _lose(self) -> None:
-        """Note that the arm is silent."""
-
-
-Result = TypeVar("Result")
-
-
-def run_within(timeout_s: float, work: Callable[[], Result]) -> Result:
-    """Return the result of work that may wait for the network, or raise its error.
-
-    Timeouts of sockets begin anew with each byte, and the look-up of a name has none.
-    What is late goes on in a thread of its own, and is thrown away.
-
-    Raises:
-        TimeoutError: It takes longer.
-    """
-    results: SimpleQueue[tuple[Result | None, Exception | None]] = SimpleQueue()
-
-    def run() -> None:
-        try:
-            results.put((work(), None))
-        except Exception as error:
-            results.put((None, error))
-
-    Thread(target=run, daemon=True).start()
-    try:
-        result, failure = results.get(timeout=timeout_s)
-    except Empty:
-        raise TimeoutError(f"no whole answer within {timeout_s:g} s") from None
-
-    if failure is not None:
-        raise failure
-
-    return result  # type: ignore[return-value]
 
 
 class ReplayArm(Link):

@@ -1,13 +1,12 @@
 """ATI Net F/T: force and torque through its raw data transfer (RDT).
 
-One request begins the stream; records of 36 bytes come back, one to a datagram or,
-buffered, forty. Numbers are big endian; counts per newton are set in the sensor and
+One request begins the stream; records of 36 bytes come back, one to a datagram.
+Numbers are big endian; counts per newton are set in the sensor and
 read from it, never assumed. Bits of the status word as the manual of the sensor (Net
 F/T, system status code) and public drivers give them.
 """
 
 import struct
-from collections.abc import Iterator
 from enum import IntEnum
 from http.client import HTTPException
 from time import monotonic
@@ -26,7 +25,6 @@ from needleforce.devices.datagram_link import (
     resolve_host,
 )
 from needleforce.devices.errors import DeviceSettingError, LinkError
-from needleforce.devices.link import SILENCE_S, run_within
 
 PORT = 49152
 """Of the sensor, unless it is configured otherwise."""
@@ -43,7 +41,6 @@ class RdtCommand(IntEnum):
 
     STOP = 0
     STREAM = 2
-    BUFFERED = 3
 
 
 RECORD = np.dtype(
@@ -53,16 +50,6 @@ RECORD = np.dtype(
 
 COUNTS = 1 << 32
 """Counters of records go round after so many."""
-
-MIN_RENUMBERED_RECORDS = 400
-"""After so many in a row that are no new records the sensor has restarted its count."""
-
-MAX_DATAGRAM_BYTES = 40 * RECORD.itemsize
-"""Of a buffered datagram; a longer one is none of the sensor."""
-
-MAX_COUNTED_GAP_S = 1.0
-"""A sensor silent for longer may have been off: it is asked anew, and may count from
-zero."""
 
 BIT_NAMES = {
     31: "error",
@@ -132,25 +119,21 @@ class Scale(NamedTuple):
     per_Nm: float
 
 
-def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
+def read_scale(url: str) -> Scale:
     """Read the counts from the sensor's page of its calibration.
 
     Args:
         url: Address of the page.
-        timeout_s: Within it the whole page has to be there.
 
     Raises:
-        LinkError: The page cannot be read in time, names no counts, or counts per
-            another unit than SI.
+        LinkError: The page cannot be read, names no counts, or counts per another unit
+            than SI.
     """
-
-    def fetch() -> bytes:
-        max_reply_bytes = 1 << 20
-        with urlopen(url, timeout=timeout_s) as reply:
-            return reply.read(max_reply_bytes)
-
+    max_wait_s = 2.0
+    max_reply_bytes = 1 << 20
     try:
-        tree = ElementTree.fromstring(run_within(timeout_s, fetch))
+        with urlopen(url, timeout=max_wait_s) as reply:
+            tree = ElementTree.fromstring(reply.read(max_reply_bytes))
         per_N = float(tree.findtext(".//calcpf", ""))
         per_Nm = float(tree.findtext(".//calcpt", ""))
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
@@ -167,13 +150,12 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
 
 
 class NetFT(DatagramLink):
-    """The sensor: the newest reading, or a stream of all.
+    """The sensor, of which the newest reading is taken.
 
     Args:
         host: Address of the sensor, or its name.
         port: Its port.
         scale: Its counts, or the page that says them; None: the sensor's own page.
-        buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
 
     Attributes:
         scale: Counts per newton and per newton metre.
@@ -193,7 +175,6 @@ class NetFT(DatagramLink):
         port: int = PORT,
         *,
         scale: Scale | str | None = None,
-        buffered: bool = False,
     ) -> None:
         host = resolve_host(host)
         page = scale or f"http://{host}/netftcalapi.xml"
@@ -211,122 +192,81 @@ class NetFT(DatagramLink):
             )
 
         local = LOOPBACK if host.startswith("127.") else "0.0.0.0"
-        # For the records of half a second, if net.core.rmem_max allows as much.
-        buffer_bytes = 1 << 22
-        super().__init__(local, 0, peer=host, buffer_bytes=buffer_bytes)
-        self._keep_peer(Endpoint(host, port))
+        super().__init__(local, 0, peer=host)
+        self.peer = Endpoint(host, port)
         self.status = 0
         self.faults = 0
-        self._mode = RdtCommand.BUFFERED if buffered else RdtCommand.STREAM
         self._counts_per_unit = np.repeat(self.scale, 3)
         self._latest_count: int | None = None
-        self._stray_count = 0  # of the latest record that was no new one
-        self._stray_in_row = 0  # such records that follow each other
-        self._asked_s = monotonic()
-        self._request(self._mode)
+        self._request(RdtCommand.STREAM)
 
     def read(self) -> Array | None:
         """Return the newest wrench of all that have come.
 
         It takes 2 ms at most, also when more waits to be read. Malformed and
         old records are counted in the report; see `silent_s` for how long none came.
-        After 1 s of silence the sensor is asked anew.
+        After 1 s of silence the sensor is asked anew: it may have been off.
 
         Returns:
             Force [N] and torque [Nm], shape (6,); None if nothing has come.
         """
-        # After so long no further datagram is taken; the last of forty records takes
-        # 0.2 ms.
+        # After so long no further datagram is taken.
         max_read_s = 1.5e-3
         newest = None
         end_s = monotonic() + max_read_s
-        while self._is_open and (data := self._next(0.0)) is not None:
-            for wrench in self._wrenches(data):
-                newest = wrench
+        while self._is_open and (data := self._receive(0.0)) is not None:
+            wrench = self._process(data)
+            newest = newest if wrench is None else wrench
             if monotonic() >= end_s:
                 break
 
         if newest is None:
-            self._note_silence()
+            silent_s = self._count_silence()
+            retry_s = 1.0
+            if min(silent_s, monotonic() - self._asked_s) > retry_s:
+                self._request(RdtCommand.STREAM)
         return newest
-
-    def stream(self) -> Iterator[Array | None]:
-        """Yield every wrench as it comes.
-
-        Yields:
-            Force [N] and torque [Nm], shape (6,); None every 0.1 s of a silence.
-        """
-        while self._is_open:
-            data = self._next(SILENCE_S)
-            if data is not None:
-                yield from self._wrenches(data)
-            elif self._note_silence():
-                yield None
 
     def close(self) -> None:
         """Ask the sensor to stop, and free the port."""
         self._request(RdtCommand.STOP)
         super().close()
 
-    def _note_silence(self) -> float:
-        """Count a silence, ask anew after a long one; return its length [s]."""
-        silent_s = self._count_silence()
-        if min(silent_s, monotonic() - self._asked_s) > MAX_COUNTED_GAP_S:
-            self._asked_s = monotonic()
-            self._latest_count = None  # it may count anew
-            self._request(self._mode)
-        return silent_s
-
-    def _next(self, wait_s: float) -> bytes | None:
-        """Return the next datagram; one that is too long has a byte too many."""
-        return self._receive(wait_s, MAX_DATAGRAM_BYTES + 1)
-
     def _request(self, command: RdtCommand) -> None:
         """Send a command to the sensor."""
+        self._asked_s = monotonic()
         self._send(REQUEST.pack(REQUEST_MARK, command, 0))
 
-    def _wrenches(self, data: bytes) -> Iterator[Array]:
-        """Yield the valid wrenches of a datagram, shape (6,), oldest first."""
-        if not 0 < len(data) <= MAX_DATAGRAM_BYTES or len(data) % RECORD.itemsize:
+    def _process(self, data: bytes) -> Array | None:
+        """Return the wrench of a record, shape (6,); None if it is old or invalid.
+
+        After a silence the sensor may have begun to count anew.
+        """
+        if len(data) != RECORD.itemsize:
             self.report.malformed += 1
-            return
+            return None
 
-        for record in np.frombuffer(data, RECORD):
-            wrench = self._process(record)
-            if wrench is not None:
-                yield wrench
-
-    def _process(self, record: np.void) -> Array | None:
-        """Return the wrench of a record, shape (6,); None if it is old or invalid."""
+        [record] = np.frombuffer(data, RECORD)
         # Records of a second or so; one further on, or further back, is no new one.
         max_ahead = 10_000
-        report = self.report
         count = int(record["count"])
-        status = int(record["status"])
-        is_first = self._latest_count is None
         ahead = 1
         if self._latest_count is not None:
             ahead = (count - self._latest_count) % COUNTS
+        if ahead > max_ahead and self._is_silent:
+            ahead = 1
         if not 0 < ahead <= max_ahead:
-            report.stale += 1
-            follows = 0 < (count - self._stray_count) % COUNTS <= max_ahead
-            self._stray_count = count
-            self._stray_in_row = self._stray_in_row + 1 if follows else 0
-            if self._stray_in_row >= MIN_RENUMBERED_RECORDS:
-                self._latest_count = None  # it counts anew
+            self.report.stale += 1
             return None
 
-        has_fault = is_faulty(status)
-        report.malformed += has_fault
-        self.status = status
-        if not (is_first and has_fault):  # a faulty first one may be garbage
-            self._latest_count = count
-            self._stray_in_row = 0
-            report.missed += ahead - 1
-        if has_fault:
-            self.faults |= status
+        self._latest_count = count
+        self.report.missed += ahead - 1
+        self.status = int(record["status"])
+        if is_faulty(self.status):
+            self.report.malformed += 1
+            self.faults |= self.status
             return None
 
-        report.used += 1
+        self.report.used += 1
         self._hear()
         return record["counts"] / self._counts_per_unit

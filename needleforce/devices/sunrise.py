@@ -16,7 +16,7 @@ from needleforce.devices.link import GIVE_UP_S, ArmReading
 from needleforce.devices.sunrise_messages import (
     JOINTS,
     MAX_PERIOD_MS,
-    CommandMode,
+    POSITION_MODE,
     Quality,
     Session,
     message_type,
@@ -56,8 +56,6 @@ class IiwaArm(ControllerLink):
     Attributes:
         session: State of the interface, of the latest reading.
         quality: Of the connection, of the latest reading.
-        version: Of the interface, 1 or 2; 0 before the first message.
-        stamp_s: Of the latest reading, on the controller's clock.
         preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
 
     Raises:
@@ -83,8 +81,6 @@ class IiwaArm(ControllerLink):
         )
         self.session = Session.IDLE
         self.quality = Quality.POOR
-        self.version = 0
-        self.stamp_s = 0.0
         self._takes_positions = False  # by the latest message
         self._stamped: tuple[int, float] | None = None  # number, time of the latest
         self._period_s: float | None = None  # of messages without one
@@ -132,7 +128,6 @@ class IiwaArm(ControllerLink):
         if cycles is None:
             return None
 
-        self.stamp_s = stamp_s
         place_rad = np.array(measured.position_rad.value)
         self._take_state(message, place_rad)
         self._answer_message(message, period_s)
@@ -171,12 +166,11 @@ class IiwaArm(ControllerLink):
         has_waited = self.session is Session.COMMANDING_WAIT
         self.session = Session(message.connection.session)
         self.quality = Quality(message.connection.quality)
-        self.version = 1 if message.measured.HasField("commanded_rad") else 2
         has_program = message.program.HasField("position_rad")
         self._takes_positions = (
             self.session is Session.COMMANDING_ACTIVE
             and self.quality >= Quality.GOOD
-            and message.program.mode == CommandMode.POSITION
+            and message.program.mode == POSITION_MODE
             and message.robot.safety_stop == 0
             and has_program
         )
@@ -199,9 +193,9 @@ class IiwaArm(ControllerLink):
             return
 
         self._unanswered = 0
-        number = self._answer_count
-        self._answer_count = (number + 1) % COUNTS
-        self._send(write_command(number, message.header.number, position_rad))
+        reflected = message.header.number
+        self._send(write_command(self._answer_count, reflected, position_rad))
+        self._answer_count = (self._answer_count + 1) % COUNTS
 
     def _next_position_rad(self, message: Any, period_s: float) -> Array | None:
         """Return the position to be commanded, shape (7,); None while nothing is.

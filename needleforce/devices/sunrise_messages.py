@@ -83,14 +83,8 @@ class Quality(IntEnum):
     EXCELLENT = 3
 
 
-class CommandMode(IntEnum):
-    """What the program on the controller lets a client command."""
-
-    NONE = 0
-    POSITION = 1
-    WRENCH = 2
-    TORQUE = 3
-    CARTESIAN_POSE = 4
+POSITION_MODE = 1
+"""The program on the controller lets a client command positions."""
 
 
 @cache
@@ -136,7 +130,6 @@ def read_monitoring(data: bytes) -> Any | None:
         message = message_type("Monitoring").FromString(data)
         Session(message.connection.session)
         Quality(message.connection.quality)
-        CommandMode(message.program.mode)
     except (decode_error, ValueError):
         return None
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.client_arm import ArmSignals, ClientArm
+from needleforce.devices.client_arm import ClientArm, StampedReading
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import DeviceSettingError, import_client
 from needleforce.devices.link import GIVE_UP_S, ArmReading
@@ -74,26 +74,26 @@ class UrArm(ClientArm):
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
-            constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
-            if constant_Nm_A.shape != (JOINTS,) or not (constant_Nm_A > 0.0).all():
+            self._constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
+            is_six = self._constant_Nm_A.shape == (JOINTS,)
+            if not (is_six and (self._constant_Nm_A > 0.0).all()):
                 raise DeviceSettingError(
                     f"{torque_constant_Nm_A=}: expected six positive numbers"
                 )
-            self._constant_Nm_A = constant_Nm_A
 
-        super().__init__(
-            host,
-            JOINTS,
-            1.0 / rate_hz,
-            takes_commands=takes_commands,
-            give_up_s=give_up_s,
-            robot=robot,
-        )
         self._rate_hz = rate_hz
         self._receiver: Any = None
         self._control: Any = None
         self._stamp_s = -1.0  # of what was read last
-        self._open()
+        super().__init__(
+            host,
+            JOINTS,
+            1.0 / rate_hz,
+            (RuntimeError,),
+            takes_commands=takes_commands,
+            give_up_s=give_up_s,
+            robot=robot,
+        )
 
     def _connect(self) -> None:
         receiving = import_client("rtde_receive", "ur_rtde")
@@ -107,36 +107,31 @@ class UrArm(ClientArm):
             self._control = commanding.RTDEControlInterface(self._host, self._rate_hz)
             self._control.setWatchdog(WATCHDOG_HZ)
 
-    def _errors(self) -> tuple[type[Exception], ...]:
-        return (RuntimeError,)
-
-    def _read_client(self) -> ArmSignals | None:
+    def _read_client(self) -> StampedReading | None:
         receiver = self._receiver
         if not receiver.isConnected():
             raise RuntimeError("the connection has ended")
         stamp_s = receiver.getTimestamp()
         if stamp_s == self._stamp_s:
             return None
-        signals = ArmSignals(
-            time_s=stamp_s,
+        current_A = np.array(receiver.getActualCurrent())
+        has_constants = self._constant_Nm_A is not None
+        reading = ArmReading(
+            dt_s=self._period_s,
             q_rad=np.array(receiver.getActualQ()),
             dq_rad_s=np.array(receiver.getActualQd()),
-            effort=np.array(receiver.getActualCurrent()),
+            tau_Nm=self._constant_Nm_A * current_A if has_constants else None,
+            external_Nm=None,
+            missed=0,
+            accepts_commands=False,
+            current_A=current_A,
+            is_real=True,
         )
         # A newer package may have come meanwhile.
         if receiver.getTimestamp() != stamp_s:
             return None
         self._stamp_s = stamp_s
-        return signals
-
-    def _checked(self, signals: ArmSignals) -> ArmReading | None:
-        reading = super()._checked(signals)
-        if reading is None:
-            return None
-        tau_Nm = None
-        if self._constant_Nm_A is not None:
-            tau_Nm = self._constant_Nm_A * signals.effort
-        return reading._replace(tau_Nm=tau_Nm, current_A=signals.effort)
+        return stamp_s, reading
 
     def _move(self, velocity_rad_s: Array | None) -> None:
         control = self._control
@@ -153,11 +148,11 @@ class UrArm(ClientArm):
             self._guard.interrupt()  # the arm goes on as it was
 
     def _release(self) -> None:
-        with suppress(RuntimeError):
-            if self._control is not None and self._control.isProgramRunning():
-                self._control.speedStop(ACCELERATION_rad_s2)
-                self._control.stopScript()
-            if self._control is not None:
+        if self._control is not None:
+            with suppress(RuntimeError):
+                if self._control.isProgramRunning():
+                    self._control.speedStop(ACCELERATION_rad_s2)
+                    self._control.stopScript()
                 self._control.disconnect()
         self._control = None
         if self._receiver is not None:

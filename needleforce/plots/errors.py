@@ -6,10 +6,7 @@ from foundation.errors import NeedleforceError
 class FiguresError(NeedleforceError):
     """Base of every error of this package."""
 
-    usual_advice = (
-        "Give a figure a name that ends in .png, .svg or .pdf, a `PageTable` one cell "
-        "per head."
-    )
+    usual_advice = "Give a figure a name that ends in .png, .svg or .pdf."
 
 
 class MissingExtraError(FiguresError, RuntimeError):
@@ -19,7 +16,7 @@ class MissingExtraError(FiguresError, RuntimeError):
 
 
 class ChartError(FiguresError, ValueError):
-    """A table that is ragged, or a figure of an unknown format."""
+    """A figure of an unknown format."""
 
 
 class WriteError(FiguresError, OSError):

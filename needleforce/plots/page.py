@@ -2,14 +2,15 @@
 
 import re
 from base64 import b64encode
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from needleforce.plots.drawing import printable, write_file
-from needleforce.plots.errors import ChartError, WriteError
+from needleforce.plots.errors import WriteError
 
 PAGE = "index.html"
 """Name of the page in the folder of a report."""
@@ -42,9 +43,6 @@ class PageTable:
         rows: Cells of every row.
         numeric: Columns, from 0, whose cells line up on the right.
         note: Stands below.
-
-    Raises:
-        ChartError: A row is longer or shorter than the head.
     """
 
     caption: str
@@ -52,14 +50,6 @@ class PageTable:
     rows: tuple[tuple[str, ...], ...]
     numeric: frozenset[int] = frozenset()
     note: str = ""
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.head):
-                raise ChartError(
-                    f"table {self.caption!r} has a row of {len(row)} cells under "
-                    f"{len(self.head)} heads"
-                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,26 +161,6 @@ def settings_table(settings: Any, caption: str) -> PageTable:
 
     Fields of a dataclass within it are ``outer.inner``.
     """
-    return PageTable(
-        caption=caption, head=("setting", "value"), rows=tuple(_rows(settings, ""))
-    )
-
-
-def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
-    """Yield name and value of every field of a dataclass."""
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        name = f"{prefix}{item.name}"
-        if is_dataclass(value):
-            yield from _rows(value, f"{name}.")
-        else:
-            yield f"`{name}`", _describe_setting(value)
-
-
-def _describe_setting(value: Any) -> str:
-    """Return a setting in words."""
-    if value is None:
-        return "none"
-    values = value if isinstance(value, tuple | list) else (value,)
-    texts = [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
-    return ", ".join(texts) or "none"
+    flat = pd.json_normalize(asdict(settings)).iloc[0]
+    rows = tuple((f"`{name}`", str(value)) for name, value in flat.items())
+    return PageTable(caption=caption, head=("setting", "value"), rows=rows)

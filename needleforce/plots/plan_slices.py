@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy import Labels, Layer, Structure, Volume
+from needleforce.anatomy import Labels, Structure, Volume
+from needleforce.anatomy.path_search import SkinPath
 from needleforce.plots.needle_view import NeedleView, patient_side
 
 PIXEL_m = 7e-4
@@ -24,57 +24,10 @@ RUPTURE_COLOUR = "#56b4e9"
 M_TO_MM = 1e3
 
 
-class DrawnPath(Protocol):
-    """A straight path, such as a `needleforce.anatomy.path_search.SkinPath`."""
-
-    @property
-    def entry_m(self) -> Array:
-        """Where it meets the skin, (3,)."""
-        ...
-
-    @property
-    def target_m(self) -> Array:
-        """Where it ends, (3,)."""
-        ...
-
-    @property
-    def length_m(self) -> float:
-        """From entry to target."""
-        ...
-
-    @property
-    def layers(self) -> Sequence[Layer]:
-        """What it crosses."""
-        ...
-
-
-class Plane(NamedTuple):
-    """A plane through the patient.
-
-    Attributes:
-        rows_m: Places of the rows [m].
-        columns_m: Places of the columns [m].
-        values_HU: What the CT shows there.
-        owners: Number of the structure at each pixel; -1 for none.
-    """
-
-    rows_m: Array
-    columns_m: Array
-    values_HU: Array
-    owners: NDArray[np.intp]
-
-    @property
-    def extent_mm(self) -> tuple[float, ...]:
-        """Left, right, bottom, top for a picture with rows downwards."""
-        rows_mm = M_TO_MM * self.rows_m
-        columns_mm = M_TO_MM * self.columns_m
-        return (columns_mm[0], columns_mm[-1], rows_mm[-1], rows_mm[0])
-
-
 def draw_along(
     scan: Volume,
     labels: Labels,
-    path: DrawnPath,
+    path: SkinPath,
     place: Path,
     *,
     ruptures_m: Sequence[float] = (),
@@ -96,32 +49,28 @@ def draw_along(
     before_m = 0.025  # shown in front of the skin
     along_m = np.arange(-before_m, path.length_m + 0.05, PIXEL_m)
     across_m = np.arange(-0.08, 0.08, PIXEL_m)
+    length_mm = M_TO_MM * path.length_m
     figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
-    structures: dict[str, Structure] = {}
+    structures: list[Structure] = []
     for axes, direction in zip(panels, (side, up), strict=True):
-        plane = _cut(scan, labels, path.entry_m, axis, direction, along_m, across_m)
-        structures |= _draw_plane(axes, labels, plane)
-        length_mm = M_TO_MM * path.length_m
+        points_m = path.entry_m + _span(along_m, axis, across_m, direction)
+        extent_m = (across_m[0], across_m[-1], along_m[-1], along_m[0])
+        structures += _draw_plane(axes, scan, labels, points_m, extent_m)
         axes.plot([0.0, 0.0], [-M_TO_MM * before_m, length_mm], color=PATH_COLOUR)
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
-        for layer in path.layers[:-1]:
-            axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
-        for depth_m in ruptures_m:
-            axes.plot(
-                [-7.0, 7.0], [M_TO_MM * depth_m] * 2, color=RUPTURE_COLOUR, lw=2.5
-            )
+        exits_mm = [M_TO_MM * layer.exit_m for layer in path.layers[:-1]]
+        axes.hlines(exits_mm, -4.0, 4.0, color=PATH_COLOUR)
+        ruptures_mm = [M_TO_MM * depth_m for depth_m in ruptures_m]
+        axes.hlines(ruptures_mm, -7.0, 7.0, color=RUPTURE_COLOUR, lw=2.5)
         if tip_m is not None:
             axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
-        _name_sides(axes, direction)
+        _write_sides(axes, {(0.04, 0.5): -direction, (0.96, 0.5): direction})
         axes.set(xlabel="beside the path [mm]", ylabel="depth below the entry [mm]")
-    _add_legend(figure, structures)
-    figure.savefig(place, dpi=200)
-    plt.close(figure)
-    return place
+    return _save(figure, structures, place)
 
 
 def draw_probe_view(
-    scan: Volume, labels: Labels, path: DrawnPath, needed_m: float, place: Path
+    scan: Volume, labels: Labels, path: SkinPath, needed_m: float, place: Path
 ) -> Path:
     """Draw slices across the path as the needle sees them; return the file's name.
 
@@ -139,141 +88,111 @@ def draw_probe_view(
     half_m = 0.045  # half the edge of a slice
     span_m = np.arange(-half_m, half_m, PIXEL_m)
     figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
-    structures: dict[str, Structure] = {}
+    structures: list[Structure] = []
     depths_m = np.linspace(0.0, path.length_m, panels.size)
     for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
-        centre_m = path.entry_m + depth_m * axis
-        # Rows run downwards in a picture, and up is to the head.
-        plane = _cut(scan, labels, centre_m, -up, side, span_m, span_m)
-        structures |= _draw_plane(axes, labels, plane)
-        axes.add_patch(
-            Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
-        )
+        points_m = path.entry_m + depth_m * axis + _span(-span_m, up, span_m, side)
+        extent_m = (-half_m, half_m, -half_m, half_m)
+        structures += _draw_plane(axes, scan, labels, points_m, extent_m)
+        free = Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
+        axes.add_patch(free)
         axes.plot(0.0, 0.0, "+", color=PATH_COLOUR)
-        _name_sides(axes, side)
+        _write_sides(axes, {(0.04, 0.5): -side, (0.96, 0.5): side})
+        _write_sides(axes, {(0.5, 0.97): up, (0.5, 0.03): -up})
         axes.set(title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="[mm]", ylabel="[mm]")
-        for side_name, height in ((patient_side(up), 0.97), (patient_side(-up), 0.03)):
-            _write_side(axes, side_name, 0.5, height)
-        axes.set_ylim(M_TO_MM * half_m, -M_TO_MM * half_m)
-        axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
-    _add_legend(figure, structures)
-    figure.savefig(place, dpi=200)
-    plt.close(figure)
-    return place
+    return _save(figure, structures, place)
 
 
-def _name_sides(axes: Any, direction: Array) -> None:
-    """Write the patient's sides at the left and the right edge of a picture.
+def _span(
+    rows_m: Array, row_axis: Array, columns_m: Array, column_axis: Array
+) -> Array:
+    """Return the points of a plane through the origin, shape (rows, columns, 3)."""
+    return rows_m[:, None, None] * row_axis + columns_m[:, None] * column_axis
+
+
+def _write_sides(axes: Any, directions: dict[tuple[float, float], Array]) -> None:
+    """Write the patient's sides into a picture.
 
     Args:
         axes: The picture.
-        direction: To the right of the picture, in LPS, shape (3,).
+        directions: In LPS, shape (3,), by the place, as fractions of its size.
     """
-    _write_side(axes, patient_side(-direction), 0.04, 0.5)
-    _write_side(axes, patient_side(direction), 0.96, 0.5)
+    for place, direction in directions.items():
+        axes.text(
+            *place,
+            patient_side(direction),
+            transform=axes.transAxes,
+            color=PATH_COLOUR,
+            fontweight="bold",
+            ha="center",
+            va="center",
+        )
 
 
-def _write_side(axes: Any, side: str, x: float, y: float) -> None:
-    """Write the letter of a side at fractions of a picture's width and height."""
-    axes.text(
-        x,
-        y,
-        side,
-        transform=axes.transAxes,
-        color=PATH_COLOUR,
-        fontweight="bold",
-        ha="center",
-        va="center",
-    )
-
-
-def _cut(
+def _draw_plane(
+    axes: Any,
     scan: Volume,
     labels: Labels,
-    centre_m: Array,
-    row_axis: Array,
-    column_axis: Array,
-    rows_m: Array,
-    columns_m: Array,
-) -> Plane:
-    """Return the plane through a point along two directions."""
-    points_m = (
-        centre_m
-        + rows_m[:, None, None] * row_axis
-        + columns_m[None, :, None] * column_axis
-    )
-    index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
+    points_m: Array,
+    extent_m: tuple[float, ...],
+) -> list[Structure]:
+    """Draw a plane of the CT with the outlines of structures; return these.
+
+    Args:
+        axes: The picture.
+        scan: The CT.
+        labels: The segmentation.
+        points_m: Of its pixels, shape (rows, columns, 3).
+        extent_m: Left, right, bottom and top of the picture.
+    """
     air_HU = -1000.0  # outside the scan
-    values_HU = np.full(index.shape[1:], air_HU)
+    min_pixels = 40  # of an outline
+    # The CT shows these, and they surround everything.
+    plain = ("fat", "lean", "body", "skin")
+    left_mm, right_mm, bottom_mm, top_mm = M_TO_MM * np.array(extent_m)
+    index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
+    values_HU = np.empty(index.shape[1:])
     ndimage.map_coordinates(scan.values, index, output=values_HU, order=1, cval=air_HU)
-    return Plane(rows_m, columns_m, values_HU, _owners(labels, points_m))
-
-
-def _owners(labels: Labels, points_m: Array) -> NDArray[np.intp]:
-    """Return the number of the smallest structure at each point; -1 for none."""
-    index = np.rint(labels.grid.indices(points_m)).astype(int)
-    is_valid = np.all((index >= 0) & (index < labels.grid.shape), axis=-1)
-    voxels = tuple(np.moveaxis(np.where(is_valid[..., None], index, 0), -1, 0))
-    owners = np.full(is_valid.shape, -1)
-    order = sorted(
-        range(len(labels.structures)), key=lambda n: -labels.structures[n].voxels
-    )
-    for number in order:
-        item = labels.structures[number]
-        is_inside = labels.volumes[item.volume][voxels] == item.value
-        owners[is_valid & is_inside] = number
-    return owners
-
-
-def _draw_plane(axes: Any, labels: Labels, plane: Plane) -> dict[str, Structure]:
-    """Draw a plane of the CT with the outlines of structures; return these by name."""
     axes.imshow(
-        plane.values_HU,
+        values_HU,
         cmap="gray",
         vmin=-160.0,  # HU: from black to white, soft tissue
         vmax=240.0,
-        extent=plane.extent_mm,
+        extent=(left_mm, right_mm, bottom_mm, top_mm),
         aspect="equal",
     )
-    # The CT shows these, and they surround everything.
-    plain = ("fat", "lean", "body", "skin")
-    min_pixels = 40  # of an outline
-    drawn: dict[str, Structure] = {}
-    for number, item in enumerate(labels.structures):
-        is_owned = plane.owners == number
-        if item.name in plain or np.count_nonzero(is_owned) < min_pixels:
-            continue
-        axes.contour(
-            M_TO_MM * plane.columns_m,
-            M_TO_MM * plane.rows_m,
-            is_owned.astype(float),
-            levels=[0.5],
-            colors=[item.colour],
-            linewidths=1.4,
-        )
-        drawn[item.name] = item
+    index = np.moveaxis(np.rint(labels.grid.indices(points_m)).astype(int), -1, 0)
+    columns_mm = np.linspace(left_mm, right_mm, index.shape[2])
+    rows_mm = np.linspace(top_mm, bottom_mm, index.shape[1])
+    cuts = [ndimage.map_coordinates(one, index, order=0) for one in labels.volumes]
+    drawn: list[Structure] = []
+    for item in labels.structures:
+        inside = cuts[item.volume] == item.value
+        if item.name not in plain and np.count_nonzero(inside) >= min_pixels:
+            outline = {"levels": [0.5], "colors": [item.colour], "linewidths": 1.4}
+            axes.contour(columns_mm, rows_mm, inside.astype(float), **outline)
+            drawn.append(item)
     return drawn
 
 
-def _hex_of(item: Structure) -> str:
-    """Return the colour of a structure as #rrggbb."""
-    return "#" + "".join(f"{round(255 * value):02x}" for value in item.colour)
-
-
-def _add_legend(figure: Any, structures: dict[str, Structure]) -> None:
-    """Add the names of the outlined structures below the pictures."""
+def _save(figure: Any, structures: Sequence[Structure], place: Path) -> Path:
+    """Name the outlined structures below the pictures; return the figure's file."""
+    import matplotlib.pyplot as plt
     from matplotlib.lines import Line2D
 
-    lines = [
-        Line2D([], [], color=_hex_of(item), label=name.replace("_", " "))
-        for name, item in structures.items()
-    ]
-    lines.append(Line2D([], [], color=PATH_COLOUR, label="path"))
+    colours: dict[str, Any] = {item.name: item.colour for item in structures}
+    colours["path"] = PATH_COLOUR
     figure.legend(
-        handles=lines,
+        handles=[
+            Line2D([], [], color=colour, label=name.replace("_", " "))
+            for name, colour in colours.items()
+        ],
         loc="outside lower center",
         ncols=5,
         fontsize=8,
         facecolor="0.25",
         labelcolor="white",
     )
+    figure.savefig(place, dpi=200)
+    plt.close(figure)
+    return place

@@ -1,44 +1,35 @@
-"""ROS bags as a table: topics are columns, the messages of one topic are the rows.
+"""ROS bags as a table: topics are columns, each with the stamps of its messages.
 
-`rosbags` reads the files (.bag, .db3, .mcap); other topics are interpolated.
+`rosbags` reads the files (.bag, .db3, .mcap).
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import islice
-from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from needleforce.recordings.bag_topics import standard_types
-from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.errors import (
     RECOVER,
     UNPACK,
-    ColumnError,
     FormatError,
     RecordingError,
     file_errors,
     optional_library,
     require_size,
 )
-from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
-from needleforce.recordings.time_stamps import (
-    NS_PER_S,
-    first_valid_stamp,
-    interpolate,
-    start_of_clock,
-    to_seconds,
-)
+from needleforce.recordings.time_stamps import NS_PER_S
+from needleforce.recordings.writers import standard_types
 
-BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".bag")
 METADATA = "metadata.yaml"
 
 
@@ -56,150 +47,99 @@ def _files_in(folder: Path) -> list[Path]:
     )
 
 
-class Topic:
-    """A topic: where the numbers of its messages are, and what was read of them.
+class _Signal(NamedTuple):
+    """Numbers of a message.
 
     Attributes:
-        name: Such as /joint_states.
-        kind: The type of its messages.
-        connections: Of the bag.
-        count: Messages in the bag.
-        columns: What gets the numbers of a column from a message, by its name.
-        widths: How many numbers a column has in a row; None for a single one.
-        named: Columns whose numbers belong to joints.
-        joints: Names of joints, in the order of their numbers.
-        known: Columns that are channels by the type of the messages, by channel.
+        path: The fields that lead to them.
+        values: The numbers, a single one or shape (k,).
+        joints: That they belong to; none where the message does not say.
     """
 
-    def __init__(self, reader: Any, connections: Sequence[Any]) -> None:
-        self.name = connections[0].topic
-        self.kind = connections[0].msgtype
-        self.connections = connections
-        self.count = sum(each.msgcount for each in connections)
-        self.columns: dict[str, attrgetter] = {}
-        self.widths: dict[str, int | None] = {}
-        self.named: set[str] = set()
-        self.joints: tuple[str, ...] = ()
-        known_fields = KNOWLEDGE.messages.get(self.kind, {})
-        part = known_fields.get("q", "").rpartition("/")[0]
-        self._joint_names = attrgetter(".".join((*part.split("/"), "name")).strip("."))
-        for _, _, data in islice(reader.messages(connections), 20):
-            self._learn(reader.deserialize(data, self.kind), {*known_fields.values()})
-
-        self.known = {
-            channel: column
-            for channel, field in known_fields.items()
-            if (column := self._column(tuple(field.split("/")))) in self.columns
-        }
-
-    def _column(self, path: tuple[str, ...]) -> str:
-        """Return the name of a column by the fields that lead to it."""
-        path = path[1:] or path if self.kind.endswith("Stamped") else path
-        return self.name if path == ("data",) else "/".join((self.name, *path))
-
-    def _learn(self, message: Any, known_fields: set[str]) -> None:
-        """Find the numbers of a message, and the joints that it names."""
-        names = self.names(message)
-        self.joints += tuple(name for name in names if name not in self.joints)
-        for path, paths in _numbers_in(message):
-            column = self._column(path)
-            get = attrgetter(*(".".join(each) for each in paths))
-            size = np.size(get(message))
-            if not 0 < size <= MAX_LIST_NUMBERS or path[-2:-1] == ("stamp",):
-                continue
-
-            is_single = np.ndim(get(message)) == 0
-            self.columns.setdefault(column, get)
-            self.widths.setdefault(column, None if is_single else size)
-            is_of_joints = len(path) == 1 or "/".join(path) in known_fields
-            if names and size == len(names) and is_of_joints:
-                self.named.add(column)
-
-    def names(self, message: Any) -> tuple[str, ...]:
-        """Return the joints that a message names; none if they are not unique."""
-        names: Any = ()
-        with suppress(AttributeError):
-            names = self._joint_names(message)
-
-        names = tuple(names) if isinstance(names, list) else ()
-        return names if all(names) and len({*names}) == len(names) else ()
-
-    def read(
-        self, reader: Any, needed: Sequence[str], joints: Sequence[str]
-    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Return stamps of source and recorder in ns, and needed columns, (n, k)."""
-        stamps: list[tuple[int, int]] = []
-        rows: dict[str, list[Any]] = {name: [] for name in needed}
-        for _, log_ns, data in reader.messages(self.connections):
-            message = reader.deserialize(data, self.kind)
-            names = self.names(message)
-            if names and joints and not {*names} & {*joints}:
-                continue
-
-            stamp = getattr(getattr(message, "header", None), "stamp", None)
-            stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec if stamp else 0
-            stamps.append((stamp_ns, log_ns))
-            for name, values in rows.items():
-                width = self.widths[name] or 1
-                numbers = np.atleast_1d(self.columns[name](message))
-                if name in self.named:
-                    width = len(joints)
-                    by_joint = dict(zip(names, numbers, strict=False))
-                    numbers = [by_joint.get(joint, np.nan) for joint in joints]
-
-                fits = len(numbers) == width
-                values.append(numbers if fits else np.full(width, np.nan))
-
-        columns = {name: np.array(values, np.float64) for name, values in rows.items()}
-        stamps_ns, logs_ns = np.array(stamps, np.int64).reshape(-1, 2).T
-        return stamps_ns, logs_ns, columns
+    path: tuple[str, ...]
+    values: Any
+    joints: tuple[str, ...] = ()
 
 
-def _numbers_in(
-    message: Any, path: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
-    """Yield the fields that lead to numbers: single ones, vectors and arrays."""
-    names = tuple(f.name for f in fields(message) if not f.name.startswith("__"))
-    axes = "".join(names)
-    if axes in ("xyzw", "xyz", "xy") and isinstance(getattr(message, names[0]), float):
-        vector = "_".join((*path[-1:], axes))
-        yield (*path[:-1], vector), [(*path, name) for name in names]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bag:
+    """An open bag.
+
+    Attributes:
+        reader: Of rosbags.
+        topics: Connections by topic.
+        notes: What is odd about its files.
+    """
+
+    reader: Any
+    topics: Mapping[str, Sequence[Any]]
+    notes: tuple[str, ...]
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yield the messages of a topic, each with the time it was recorded [ns]."""
+        for connection, log_ns, data in self.reader.messages(self.topics[topic]):
+            yield log_ns, self.reader.deserialize(data, connection.msgtype)
+
+
+def _signals(topic: str, message: Any) -> dict[str, _Signal]:
+    """Return the signals of a message by the names of their columns."""
+    is_stamped = message.__msgtype__.endswith("Stamped")
+    signals: dict[str, _Signal] = {}
+    for signal in _numbers_in(message):
+        path = signal.path[1:] or signal.path if is_stamped else signal.path
+        column = topic if path == ("data",) else "/".join((topic, *path))
+        signals[column] = signal
+
+    return signals
+
+
+def _numbers_in(message: Any, path: tuple[str, ...] = ()) -> Iterator[_Signal]:
+    """Yield the numbers of a message: single ones, vectors and arrays."""
+    values = {
+        f.name: getattr(message, f.name)
+        for f in fields(message)
+        if not f.name.startswith("__") and f.name not in ("header", "stamp", "seq")
+    }
+    axes = "".join(values)
+    if axes in ("xyzw", "xyz", "xy"):
+        yield _Signal((*path[:-1], "_".join((*path[-1:], axes))), [*values.values()])
         return
 
-    for name in names:
-        value = getattr(message, name)
+    names = values.get("name")
+    joints = tuple(names) if isinstance(names, list) else ()
+    if not all(joints) or len({*joints}) < len(joints):
+        joints = ()
+
+    for name, value in values.items():
         if is_dataclass(value):
             yield from _numbers_in(value, (*path, name))
-        elif isinstance(value, int | float | np.ndarray) and name != "seq":
-            yield (*path, name), [(*path, name)]
+        elif isinstance(value, int | float | np.ndarray):
+            are_of_joints = np.shape(value) == (len(joints),)
+            yield _Signal((*path, name), value, joints if are_of_joints else ())
 
 
 def _recover(path: Path, target: Path) -> None:
     """Copy the messages of an MCAP without its end, as far as they go."""
-    library = optional_library("mcap.stream_reader", "cut MCAP files")
+    library = optional_library("mcap.reader", "cut MCAP files")
     writer = optional_library("mcap.writer", "cut MCAP files").Writer(str(target))
     writer.start("ros2")
-    schemas = {0: 0}
     channels: dict[int, int] = {}
     with path.open("rb") as stream, suppress(Exception):  # whatever the end becomes
-        reader = library.StreamReader(stream, record_size_limit=path.stat().st_size)
-        for record in reader.records:
-            if isinstance(record, library.Schema):
-                schemas[record.id] = writer.register_schema(
-                    record.name, record.encoding, record.data
+        reader = library.NonSeekingReader(stream, record_size_limit=path.stat().st_size)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                schema_id = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
                 )
-            elif isinstance(record, library.Channel):
-                channels[record.id] = writer.register_channel(
-                    record.topic,
-                    record.message_encoding,
-                    schemas[record.schema_id],
-                    record.metadata,
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
                 )
-            elif isinstance(record, library.Message):
-                channel = channels[record.channel_id]
-                writer.add_message(
-                    channel, record.log_time, record.data, record.publish_time
-                )
+            writer.add_message(
+                channels[channel.id],
+                message.log_time,
+                message.data,
+                message.publish_time,
+            )
 
     writer.finish()
 
@@ -230,30 +170,18 @@ def _files_to_read(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
 
 
 @contextmanager
-def _open_bag(path: Path) -> Iterator[tuple[Any, list[Topic], list[str]]]:
-    """Open a bag; yield its reader, its topics with numbers, and notes.
-
-    Raises:
-        FormatError: It is no bag, damaged, or without numbers.
-    """
+def _open_bag(path: Path) -> Iterator[_Bag]:
+    """Open a bag; `FormatError` if it is none, or damaged."""
     library = optional_library("rosbags.highlevel", "ROS bags")
     with TemporaryDirectory() as folder, file_errors(path):
         files, notes = _files_to_read(path, Path(folder))
         try:
             with library.AnyReader(files, default_typestore=standard_types()) as reader:
-                by_name: dict[str, list[Any]] = {}
+                topics: dict[str, list[Any]] = {}
                 for connection in reader.connections:
-                    by_name.setdefault(connection.topic, []).append(connection)
+                    topics.setdefault(connection.topic, []).append(connection)
 
-                topics = [Topic(reader, each) for each in by_name.values()]
-                topics = [topic for topic in topics if topic.columns]
-                if not topics:
-                    raise FormatError(
-                        f"{path} holds no topic with numbers: {', '.join(by_name)}",
-                        UNPACK,
-                    )
-
-                yield reader, topics, notes
+                yield _Bag(reader, topics, tuple(notes))
         except (RecordingError, OSError):
             raise
         except Exception as error:  # whatever damaged bytes make the library run into
@@ -262,114 +190,128 @@ def _open_bag(path: Path) -> Iterator[tuple[Any, list[Topic], list[str]]]:
             ) from error
 
 
-def _head(topics: Sequence[Topic]) -> Table:
-    """Return all columns of a bag without rows, to look columns up by name."""
-    known: dict[str, tuple[str, ...]] = {}
-    columns = {"t_s": np.empty(0)}
-    for topic in topics:
-        for name, width in topic.widths.items():
-            columns[name] = np.empty(0 if width is None else (0, width))
-        for channel, column in topic.known.items():
-            known[channel] = (*known.get(channel, ()), column)
+def _first_signals(bag: _Bag, topic: str) -> dict[str, _Signal]:
+    """Return the signals of the first messages of a topic, with all joints named."""
+    found: dict[str, _Signal] = {}
+    for _, message in islice(bag.messages(topic), 20):
+        for column, signal in _signals(topic, message).items():
+            if 0 < np.size(signal.values) <= MAX_LIST_NUMBERS:
+                earlier = found.setdefault(column, signal)
+                joints = (*dict.fromkeys((*earlier.joints, *signal.joints)),)
+                found[column] = earlier._replace(joints=joints)
+
+    return found
+
+
+def _head(bag: _Bag, path: Path) -> Table:
+    """Return all columns of a bag without rows, as its first messages have them.
+
+    Raises:
+        FormatError: There is none.
+    """
+    columns: dict[str, np.ndarray] = {}
+    clocks: dict[str, str] = {}
+    joint_names: dict[str, tuple[str, ...]] = {}
+    for topic in bag.topics:
+        for column, signal in _first_signals(bag, topic).items():
+            columns[column] = np.empty((0, *np.shape(signal.values)))
+            clocks[column] = topic
+            if signal.joints:
+                joint_names[column] = signal.joints
+                columns[column] = np.empty((0, len(signal.joints)))
+
+    if not columns:
+        raise FormatError(
+            f"{path} holds no topic with numbers: {', '.join(bag.topics)}", UNPACK
+        )
 
     return Table(
         columns=columns,
-        joint_names={name: topic.joints for topic in topics for name in topic.named},
-        seconds=frozenset({"t_s"}),
-        known=known,
+        joint_names=joint_names,
+        clocks=clocks,
+        warnings=bag.notes,
     )
 
 
 def bag_head(path: Path) -> Table:
     """Return the columns of a bag without rows."""
-    with _open_bag(path) as (_, topics, _):
-        return _head(topics)
+    with _open_bag(path) as bag:
+        return _head(bag, path)
 
 
-def read_bag(path: Path, request: ChannelRequest, max_bytes: int) -> Table:
-    """Read a ROS bag as a table with a column `t_s`.
+def read_bag(path: Path, select: Callable[[Table], Table], max_bytes: int) -> Table:
+    """Read a ROS bag as a table whose columns have the stamps of their topic.
 
     Args:
         path: Of the bag, a file or a folder.
-        request: Which channels are read; none for all columns.
-        max_bytes: The most memory that the messages may take.
+        select: Returns of all columns, without rows, those that are needed, with the
+            joints that are.
+        max_bytes: The most memory that the messages of a topic may take.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
     """
-    with _open_bag(path) as (reader, topics, notes):
-        head = _head(topics)
-        is_whole = request == ChannelRequest()
-        needed = frozenset(head.columns) if is_whole else request.columns(head)
-        if not needed:
-            return head
+    with _open_bag(path) as bag:
+        whole = _head(bag, path)
+        head = select(whole)
+        if not head.columns:
+            return whole
 
-        chosen = [topic for topic in topics if not needed.isdisjoint(topic.columns)]
-        reference = _find_reference(request.mapping.reference_topic, chosen)
-        chosen.sort(key=lambda topic: topic is not reference)
         columns: dict[str, np.ndarray] = {}
-        joint_names: dict[str, tuple[str, ...]] = {}
-        at_ns = np.zeros(0, np.int64)
-        offset_ns = 0  # of the clock of the reference from the recorder's
-        for topic in chosen:
-            names = [name for name in topic.columns if name in needed]
-            order, noted = order_joints(
-                topic.name, topic.joints, request.mapping, request.joints
-            )
-            stamps_ns, logs_ns, values = topic.read(reader, names, order)
-            require_size(sum(v.nbytes for v in values.values()), max_bytes, topic.name)
-            is_set = stamps_ns != 0
-            if topic is reference and is_set.any():
-                offset_ns = int(np.median((stamps_ns - logs_ns)[is_set]))
+        both_ns: dict[str, NDArray[np.int64]] = {}
+        for topic in dict.fromkeys(head.clocks[name] for name in head.columns):
+            names = [name for name in head.columns if head.clocks[name] == topic]
+            both_ns[topic], rows = _read_topic(bag, topic, names, head)
+            require_size(sum(v.nbytes for v in rows.values()), max_bytes, topic)
+            columns |= rows
 
-            # A simulated clock may begin at zero; on any other that is no stamp.
-            is_simulated = 0 < stamps_ns.max(initial=0) < 86_400 * NS_PER_S
-            stamps_ns = np.where(is_set | is_simulated, stamps_ns, logs_ns + offset_ns)
-            if topic is reference:
-                at_ns = stamps_ns
-            else:
-                values = interpolate(at_ns, stamps_ns, values)
-                if abs(len(stamps_ns) - len(at_ns)) > 1:
-                    noted.append(
-                        f"{topic.name} was interpolated to the stamps of "
-                        f"{reference.name}"
-                    )
+    offset_ns = 0  # of the sources' clock from the recorder's, by the fullest topic
+    for sources_ns, logs_ns in sorted(reversed(both_ns.values()), key=np.size):
+        if sources_ns.any():
+            offset_ns = int(np.median((sources_ns - logs_ns)[sources_ns != 0]))
 
-            notes += noted
-            joint_names |= dict.fromkeys(topic.named & {*names}, order)
-            columns |= {
-                name: array[:, 0] if topic.widths[name] is None else array
-                for name, array in values.items()
-            }
+    stamps_ns: dict[str, NDArray[np.int64]] = {}
+    for topic, (sources_ns, logs_ns) in both_ns.items():
+        # A simulated clock may begin at zero; on any other that is no stamp.
+        is_simulated = 0 < sources_ns.max(initial=0) < 86_400 * NS_PER_S
+        is_set = (sources_ns != 0) | is_simulated
+        stamps_ns[topic] = np.where(is_set, sources_ns, logs_ns + offset_ns)
 
-        known = {
-            channel: kept
-            for channel, names in head.known.items()
-            if (kept := tuple(name for name in names if name in columns))
-        }
-        start_ns = start_of_clock(first_valid_stamp(at_ns))
-        return replace(
-            head,
-            columns={"t_s": to_seconds(at_ns, start_ns), **columns},
-            joint_names=joint_names,
-            start_ns=start_ns,
-            known=known,
-            warnings=tuple(notes),
-        )
+    ordered = {name: columns[name] for name in head.columns}
+    return replace(head, columns=ordered, stamps_ns=stamps_ns)
 
 
-def _find_reference(name: str | None, topics: Sequence[Topic]) -> Topic:
-    """Return the topic whose messages are the rows: the mapping's, or the fullest.
+def _read_topic(
+    bag: _Bag, topic: str, names: Sequence[str], head: Table
+) -> tuple[NDArray[np.int64], dict[str, np.ndarray]]:
+    """Return stamps of source and recorder [ns], shape (2, n), and columns by name.
 
-    Raises:
-        ColumnError: That of the mapping is not read.
+    Messages about none of the joints in the head are left out.
     """
-    most = max(topic.count for topic in topics)
-    for topic in topics:
-        if topic.name == name or (name is None and topic.count >= 0.9 * most):
-            return topic
+    wanted = {joint for name in names for joint in head.joint_names.get(name, ())}
+    stamps_ns: list[tuple[int, int]] = []
+    rows = {name: array("d") for name in names}
+    for log_ns, message in bag.messages(topic):
+        signals = _signals(topic, message)
+        named = {joint for signal in signals.values() for joint in signal.joints}
+        if named and wanted and named.isdisjoint(wanted):
+            continue
 
-    raise ColumnError(
-        f"reference_topic = {name!r} is no topic that is read; topics are: "
-        f"{', '.join(topic.name for topic in topics)}"
-    )
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec if stamp else 0
+        stamps_ns.append((stamp_ns, log_ns))
+        for name, numbers in rows.items():
+            signal = signals.get(name, _Signal((), []))
+            values = np.atleast_1d(signal.values)
+            if joints := head.joint_names.get(name):
+                by_joint = dict(zip(signal.joints, values, strict=False))
+                values = [by_joint.get(joint, np.nan) for joint in joints]
+
+            width = head.width(name)
+            numbers.extend(values if len(values) == width else [np.nan] * width)
+
+    columns = {
+        name: np.frombuffer(numbers).reshape(-1, *head.columns[name].shape[1:])
+        for name, numbers in rows.items()
+    }
+    return np.array(stamps_ns, np.int64).reshape(-1, 2).T, columns

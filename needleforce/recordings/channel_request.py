@@ -1,14 +1,12 @@
 """Which channels are read of a recording, and which of its columns they are."""
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from needleforce.recordings.channels import Channel, Layout
 from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
-    several_fit,
     split_unit,
 )
 from needleforce.recordings.errors import ColumnError, MappingError
@@ -82,19 +80,23 @@ class ChannelRequest:
             ColumnError: A mapped channel was not found, or is ambiguous.
         """
         request = self.with_layout(table)
-        names = ("time",) if "time" in request.mapping.channels else ()
-        needed: set[str] = set()
-        for name in (*names, *request.requested):
-            columns = request.find(table, request.channels[name])
-            if not columns and name in request.required:
-                return None
+        found = request.find_all(table)
+        if "time" in request.mapping.channels:
+            found["time"] = request.find(table, self.channels["time"])
+        if not found.keys() >= {*self.required}:
+            return None
 
-            needed |= {
-                column if column in table.columns else column.rpartition("[")[0]
-                for column in columns
-            }
+        return frozenset(
+            name if name in table.columns else name.rpartition("[")[0]
+            for columns in found.values()
+            for name in columns
+        )
 
-        return frozenset(needed)
+    def find_all(self, table: Table) -> dict[str, list[str]]:
+        """Return the columns of the channels that are there; raises as `find` does."""
+        channels = [self.channels[name] for name in self.requested]
+        found = {channel.name: self.find(table, channel) for channel in channels}
+        return {name: columns for name, columns in found.items() if columns}
 
     def find(self, table: Table, channel: Channel) -> list[str]:
         """Return the names of a channel's columns; none if no name looks like it.
@@ -110,52 +112,41 @@ class ChannelRequest:
             return [name for each in patterns for name in find_columns(table, each)]
 
         table = self._table_of_robot(table)
-        known = table.known.get(channel.name, ())
-        if len(known) > 1:
-            raise several_fit(channel, known)
+        try:
+            columns = detect_columns(table, channel)
+        except ColumnError:  # several would fit, one for each joint perhaps
+            columns = self._find_by_joints(table, channel)
+            if not columns:
+                raise
 
-        return (
-            list(known)
-            or self.find_by_joints(table, channel)
-            or detect_columns(table, channel)
-        )
+        return columns or self._find_by_joints(table, channel)
 
     def _table_of_robot(self, table: Table) -> Table:
         """Return a table without the joints of others, if it has all of the robot's."""
         joints = self.mapping.joint_order or self.joints
-        has_robot = {
-            name: bool(match_joints(each, joints))
+        others = {
+            name
             for name, each in table.joint_names.items()
+            if not match_joints(each, joints)
         }
-        others = {name for name, has_joints in has_robot.items() if not has_joints}
-        if not others or not any(has_robot.values()):
+        if others == table.joint_names.keys():
             return table
 
         columns = {n: v for n, v in table.columns.items() if n not in others}
-        known = {
-            channel: kept
-            for channel, names in table.known.items()
-            if (kept := tuple(name for name in names if name not in others))
-        }
-        return replace(table, columns=columns, known=known)
+        return replace(table, columns=columns)
 
-    def find_by_joints(self, table: Table, channel: Channel) -> list[str]:
+    def _find_by_joints(self, table: Table, channel: Channel) -> list[str]:
         """Return columns that are named after the robot's joints and a channel.
 
         Returns:
-            Their names, in the robot's order; none if there are no such columns, or
-            the channel is mapped or has a usual name.
+            Their names, in the robot's order; none if there are no such columns.
 
         Raises:
             ColumnError: Columns of several arms would fit.
         """
         joints = self.mapping.joint_order or self.joints
-        is_mapped = channel.name in self.mapping.channels
-        if is_mapped or not (channel.per_joint and joints):
+        if not channel.per_joint:
             return []
-        with suppress(ColumnError):  # several would fit, one for each joint perhaps
-            if table.known.get(channel.name) or detect_columns(table, channel):
-                return []
 
         by_stem = {
             split_unit(name.strip(), channel.units)[0]: name
@@ -166,6 +157,54 @@ class ChannelRequest:
         named = [match for match in matches if names_channel(match, channel)]
         chosen = choose_match(named, self.mapping.joint_pattern, channel.name)
         return [by_stem[stem] for stem in chosen.names] if chosen else []
+
+    def in_joint_order(self, table: Table) -> Table:
+        """Return a table whose columns of joints are in the order that is asked for.
+
+        Raises:
+            ColumnError: None of them has all of the robot's joints, or several arms
+                would fit.
+        """
+        robot = self.mapping.joint_order or self.joints
+        groups = {
+            n: each for n, each in table.joint_names.items() if n in table.columns
+        }
+        if not groups or not robot:
+            return table
+
+        columns = dict(table.columns)
+        joint_names = dict(table.joint_names)
+        notes: dict[str, None] = {}
+        for name, joints in groups.items():
+            where = table.clocks.get(name, name)
+            matches = match_joints(joints, robot)
+            chosen = choose_match(matches, self.mapping.joint_pattern, where)
+            if chosen is None:
+                continue
+
+            columns[name] = columns[name][
+                :, [joints.index(each) for each in chosen.names]
+            ]
+            joint_names[name] = chosen.names
+            if chosen.names != robot:
+                taken = f"{chosen.names[0]}, ... ({chosen.pattern})"
+                notes[
+                    f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
+                ] = None
+
+        if not any(match_joints(joints, robot) for joints in groups.values()):
+            name, joints = next(iter(groups.items()))
+            raise ColumnError(
+                f"{name} has the joints {', '.join(joints)}; expected "
+                f"{', '.join(robot)}",
+                "Name them in the robot's order, with `joints` in the `mapping` or "
+                f"`--joints {','.join(joints)}`.",
+            )
+
+        warnings = (*table.warnings, *notes)
+        return replace(
+            table, columns=columns, joint_names=joint_names, warnings=warnings
+        )
 
     def find_layout(self, table: Table) -> Layout | None:
         """Return the first layout that a table has; None if none is known."""
@@ -187,7 +226,7 @@ class ChannelRequest:
         channels = {
             name: spec
             for name, spec in known.channels.items()
-            if spec.columns == LEFT_OUT or _has_columns(table, spec.patterns)
+            if spec.patterns == (LEFT_OUT,) or _has_columns(table, spec.patterns)
         }
         channels |= self.mapping.channels
         rate_hz = self.mapping.rate_hz

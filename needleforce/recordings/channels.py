@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import msgspec
 
 from needleforce.recordings.errors import (
-    FileAccessError,
     FormatError,
     MappingError,
     file_errors,
@@ -65,12 +64,11 @@ class Units(dict[str, float]):
                 raise ValueError(f"{name} = {entry!r:.60}: expected a factor to SI")
 
             self[name] = float(factor)
-            spellings = (name, *map(str, others))
-            self._by_spelling |= {_without_signs(text): name for text in spellings}
+            spellings = map(_without_signs, (name, *map(str, others)))
+            self._by_spelling |= dict.fromkeys(spellings, name)
 
-        self._by_lower_case = {
-            spelling.lower(): name for spelling, name in self._by_spelling.items()
-        }
+        lower_case = {text.lower(): name for text, name in self._by_spelling.items()}
+        self._by_lower_case = lower_case
 
     @property
     def si(self) -> str:
@@ -132,11 +130,6 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             names = tuple(map(normalised_name, getattr(self, field)))
             msgspec.structs.force_setattr(self, field, names)
 
-    @property
-    def si_unit(self) -> str:
-        """The SI unit of this channel."""
-        return self.units.si
-
 
 class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A form of files, and what its columns are: a mapping with a condition.
@@ -165,8 +158,8 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         quantities: The units of each.
         case_matters: Spellings of units whose capitals make another unit of them.
         other_units: Units of which no channel is made.
+        missing_values: Numbers that stand for no value, in the file's unit.
         channels: By the name that mappings use.
-        messages: Fields by channel, by the type of the messages of a bag.
         conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
     """
@@ -174,8 +167,8 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantities: dict[str, Units] = msgspec.field(name="units")
     case_matters: tuple[str, ...]
     other_units: tuple[str, ...]
+    missing_values: tuple[float, ...]
     channels: dict[str, Channel]
-    messages: dict[str, dict[str, str]]
     conversions: dict[str, str]
     layouts: tuple[Layout, ...]
 
@@ -208,18 +201,10 @@ def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
 
     Raises:
         FileAccessError: It cannot be read.
-        FormatError: It is not TOML, is empty, or is longer than 4 MiB.
+        FormatError: It is not TOML, or is empty.
     """
-    max_bytes = 1 << 22  # no mapping is longer; a file named by mistake may be
-    try:
-        with file_errors(path), readable_path(path).open("rb") as stream:
-            data = stream.read(max_bytes + 1)
-    except FileAccessError as error:
-        message = str(error).replace("cannot read", f"cannot read the {subject}")
-        raise error.reworded(message) from error
-
-    if len(data) > max_bytes:
-        raise FormatError(f"the {subject} {path} is longer than {max_bytes} bytes")
+    with file_errors(path, f"read the {subject}"):
+        data = readable_path(path).read_bytes()
 
     try:
         content = tomllib.loads(data.decode())

@@ -5,13 +5,20 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Mapping, Sequence
-from itertools import pairwise, product
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby, pairwise, product
 from typing import NamedTuple
 
+import numpy as np
+
 from needleforce.recordings.channels import Channel, Units, normalised_name
-from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.errors import ColumnError, MappingError, UnitError
+from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
+
+ASSUMED = "assumed"
+"""Origin of the SI unit of a column for which nothing states one."""
 
 _BRACKETED_UNIT = re.compile(
     r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"
@@ -93,68 +100,65 @@ def written_unit(name: str) -> str | None:
     return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
+def is_column(table: Table, name: str) -> bool:
+    """Return whether a table has a column, or an element of one such as `wrench[2]`."""
+    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
+    if name in table.columns or element is None:
+        return name in table.columns
+    array = table.columns.get(element[1])
+    return array is not None and array.shape[1:] > (int(element[2]),)
+
+
 def find_columns(table: Table, pattern: str) -> list[str]:
     """Return the names of the columns that a name or pattern stands for.
 
-    In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7;
-    `q_*`, all columns with a number in that place; `wrench[2]`, one column (from 0) of
-    a two-dimensional one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
-    package writes it to CSV. Numbered ones come in the order of their numbers.
+    In this order: a column of exactly that name; `wrench[2]`, one column (from 0) of a
+    two-dimensional one; `*/q`, the one of that name behind any path; `q{1..7}`, the
+    numbers from 1 to 7; `q_*`, all columns with a number in that place; and `q_rad` for
+    a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV. Numbered ones
+    come in the order of their numbers.
 
     Raises:
-        ColumnError: There is no such column, or a number is missing in a family.
+        ColumnError: There is no such column, two have one number, or one is missing.
     """
-    if pattern in table.columns:
+    if is_column(table, pattern):
         return [pattern]
-    if span := re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}", pattern):
-        first, last = span.groups()
-        width = len(first) if first.startswith("0") else 0
-        # One at a time: the first that is not there ends the search, however long the
-        # range is.
-        columns: list[str] = []
-        for number in range(int(first), int(last) + 1):
-            numbered = f"{number:0{width}d}".join(pattern.split(span[0], 1))
-            columns += find_columns(table, numbered)
+    if pattern.startswith("*/"):
+        fitting = [name for name in table.columns if name.endswith(pattern[1:])]
+        if len(fitting) != 1:
+            raise ColumnError(f"{pattern!r} fits {fitting}, expected one column")
 
-        return columns
+        return fitting
 
-    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", pattern)
-    array = table.columns.get(element[1]) if element else None
-    if element and array is not None and array.shape[1:] > (int(element[2]),):
-        return [pattern]
+    place = re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}|\*", pattern)
+    expression = rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?"
+    if place:
+        head = re.escape(pattern[: place.start()])
+        expression = rf"{head}(\d{{1,9}}){re.escape(pattern[place.end() :])}"
 
-    escaped = re.escape(pattern)
-    expression = rf"{escaped}[_. ]?\[?(\d{{1,9}})\]?"
-    if "*" in pattern:
-        expression = escaped.replace(r"\*", r"(\d{1,9})", 1)
+    span = range(int(place[1]), int(place[2]) + 1) if place and place[1] else None
+    numbered = _by_number(table, expression, pattern)
+    if span:
+        numbered = {each: name for each, name in numbered.items() if each in span}
+    if not numbered or (span and {span[0], span[-1]} - numbered.keys()):
+        raise ColumnError(f"no column {pattern!r}. Columns are: {table.describe()}")
 
-    return _find_numbered(table, pattern, expression)
+    return _in_order(numbered, pattern)
 
 
-def _find_numbered(table: Table, pattern: str, expression: str) -> list[str]:
-    """Return columns whose names match an expression, by the number that it captures.
-
-    Raises:
-        ColumnError: There is none, two have the same number, or a number is missing.
-    """
+def _by_number(table: Table, expression: str, pattern: str) -> dict[int, str]:
+    """Return columns by the number in their names; `ColumnError` if two have one."""
     numbered: dict[int, str] = {}
     for name in table.columns:
         match = re.fullmatch(expression, name)
         if match and (other := numbered.setdefault(int(match[1]), name)) != name:
             raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
 
-    if not numbered:
-        raise ColumnError(f"no column {pattern!r}. Columns are: {table.describe()}")
-
-    return _in_order(numbered, pattern)
+    return numbered
 
 
 def _in_order(numbered: Mapping[int, str], pattern: str) -> list[str]:
-    """Return a family of columns in the order of their numbers.
-
-    Raises:
-        ColumnError: The numbers do not follow each other.
-    """
+    """Return a family of columns by their numbers; `ColumnError` if one is missing."""
     ordered = sorted(numbered)
     for number, following in pairwise(ordered):
         if following != number + 1:
@@ -170,7 +174,9 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
     """Return the columns whose names say that they are this channel, in joint order.
 
     Preferred names come before usual ones, these before the words of testing machines,
-    and last come names that say it only beside a unit.
+    and last come names that say it only beside a unit. Columns are one array, or a
+    family of numbered columns; for a channel of one value one without a number, if
+    there is one.
 
     Returns:
         Their names; none if no name says so.
@@ -183,38 +189,20 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
         text = re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip())
         names[name] = parse_column_name(text, channel.units)
 
-    with_unit = {
-        name: parts
-        for name, parts in names.items()
-        if parts.unit or name in table.units
-    }
-    for candidates, words in (
-        (names, channel.preferred),
-        (names, channel.spellings),
-        (names, channel.machine_words),
+    stems = {name: parts.stem for name, parts in names.items()}
+    with_unit = {n: s for n, s in stems.items() if names[n].unit or n in table.units}
+    tiers = (
+        (stems, channel.preferred),
+        (stems, channel.spellings),
+        (stems, channel.machine_words),
         (with_unit, channel.words_with_unit),
-    ):
-        parsed = {n: parts for n, parts in candidates.items() if parts.stem in words}
-        if parsed:
-            return _only_candidate(table, channel, parsed)
-
-    return []
-
-
-def _only_candidate(
-    table: Table, channel: Channel, parsed: Mapping[str, ColumnName]
-) -> list[str]:
-    """Return the columns of a channel among those whose names say that they are it.
-
-    They are one array, or a family of numbered columns; for a channel of one value one
-    without a number, if there is one.
-
-    Raises:
-        ColumnError: Several would fit, or a joint's column is missing.
-    """
+    )
+    fitting = ([n for n in stem_of if stem_of[n] in words] for stem_of, words in tiers)
+    found = next(filter(None, fitting), [])
     families: dict[str, dict[int, str]] = {}
     candidates: dict[str, list[str]] = {}
-    for name, parts in parsed.items():
+    for name in found:
+        parts = names[name]
         is_single = table.columns[name].ndim == 1
         if channel.per_joint and is_single and parts.number is not None:
             families.setdefault(parts.family, {})[parts.number] = name
@@ -223,8 +211,8 @@ def _only_candidate(
 
     candidates |= {name: _in_order(each, name) for name, each in families.items()}
     if not channel.per_joint:
-        plain = [name for name in candidates if parsed[name].number is None]
-        candidates = {name: [name] for name in plain} or candidates
+        plain = {n: [n] for n in candidates if names[n].number is None}
+        candidates = plain or candidates
     if len(candidates) > 1:
         raise several_fit(channel, candidates)
 
@@ -239,11 +227,128 @@ def advise_column(channel: Channel) -> str:
     )
 
 
-def several_fit(
-    channel: Channel, names: Sequence[str] | Mapping[str, object]
-) -> ColumnError:
+def several_fit(channel: Channel, names: Iterable[str]) -> ColumnError:
     """Return the error for a channel that several columns would fit."""
     return ColumnError(
         f"{channel.name}: several columns would fit ({', '.join(names)})",
         advise_column(channel),
     )
+
+
+class ChannelUnit(NamedTuple):
+    """The unit in which a channel is read.
+
+    Attributes:
+        channel: Its name, such as `q`.
+        columns: Its columns, by joint.
+        units: Of each column, as keys of the channel's units.
+        origins: Whence the unit of each column is known: header, row of units, mapping,
+            format of the file, or `ASSUMED`.
+        scale: Factor or factors of the mapping, applied after the conversion to SI.
+    """
+
+    channel: str
+    columns: tuple[str, ...]
+    units: tuple[str, ...]
+    origins: tuple[str, ...]
+    scale: float | tuple[float, ...] = 1.0
+
+    def __str__(self) -> str:
+        """Return columns, units and their origin in one line."""
+        facts = zip(self.units, self.origins, self.columns, strict=True)
+        parts = [
+            f"{describe_columns([name for *_, name in group])} in {unit} ({origin})"
+            for (unit, origin), group in groupby(facts, lambda fact: fact[:2])
+        ]
+        scales = np.atleast_1d(np.array(self.scale))
+        if np.any(scales != 1.0):
+            parts.append(f"times {', '.join(f'{scale:g}' for scale in scales)}")
+
+        return "; ".join(parts)
+
+
+def read_units(
+    table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
+) -> ChannelUnit:
+    """Return in which unit each column of a channel is read.
+
+    Args:
+        table: With rows or without.
+        channel: The channel.
+        columns: Of the channel.
+        spec: What the mapping says of them; None if nothing.
+
+    Raises:
+        MappingError: It has units for another number of columns.
+        UnitError: The file contradicts itself or the mapping, or states a unit that is
+            none of the channel's.
+    """
+    spec = spec or ColumnSpec(columns=tuple(columns))
+    asked = spec.unit if isinstance(spec.unit, tuple) else (spec.unit,) * len(columns)
+    if len(asked) != len(columns):
+        raise MappingError(
+            f"{channel.name}: {len(asked)} units for {len(columns)} columns, expected "
+            "one for all or one for each"
+        )
+
+    has_factor = spec.scale != 1.0
+    found = [
+        _unit_of_column(table, channel, name, unit, has_factor=has_factor)
+        for name, unit in zip(columns, asked, strict=True)
+    ]
+    units, origins = zip(*found, strict=True)
+    return ChannelUnit(channel.name, tuple(columns), units, origins, spec.scale)
+
+
+def _unit_of_column(
+    table: Table, channel: Channel, name: str, asked: str | None, *, has_factor: bool
+) -> tuple[str, str]:
+    """Return the unit of one of a channel's columns, and whence it is known.
+
+    It is the mapping's, else that in the row of units or in the name, else SI. A factor
+    may stand for the conversion from a unit that no channel has, such as a percentage.
+    """
+    # Messages of a bag define their unit: joint states, and forces and torques.
+    is_vector = re.search(r"/(?:force|torque)_xyz(?:\[\d\])?$", name) is not None
+    is_typed = is_vector or name in table.joint_names
+    if name in table.seconds or (is_typed and not asked):
+        return channel.units.si, "format of the file"
+
+    in_header = parse_column_name(name, channel.units).unit or written_unit(name)
+    texts = {"row of units": table.units.get(name), "header": in_header}
+    stated = {
+        channel.units.find(text) or text: origin
+        for origin, text in texts.items()
+        if text is not None
+    }
+    are_known = stated.keys() <= channel.units.keys()
+    if not are_known and has_factor:
+        return asked or channel.units.si, "mapping"
+
+    is_contradicted = asked not in stated if asked else len(stated) > 1
+    if stated and (is_contradicted or not are_known):
+        wanted = {asked: "mapping"} if asked else {}
+        parts = [f"{unit!r} ({origin})" for unit, origin in (stated | wanted).items()]
+        raise UnitError(
+            f"{channel.name}: column {name!r} is in {' and '.join(parts)}; expected "
+            f"one of {', '.join(channel.units)}",
+            advise_unit(channel, [name]),
+        )
+    if asked:
+        return asked, "mapping"
+
+    return next(iter(stated.items()), (channel.units.si, ASSUMED))
+
+
+def advise_unit(channel: Channel, columns: Sequence[str]) -> str:
+    """Return how to say in which unit the columns of a channel are."""
+    value = shlex.quote(f"{','.join(columns)}:UNIT")
+    return (
+        f"Give {channel.name} its `unit` in the `mapping`, as {value} does; a `scale` "
+        "may stand for a unit that is not known."
+    )
+
+
+def describe_columns(columns: Sequence[str]) -> str:
+    """Return the columns of a channel in words: one name, or the first and the last."""
+    return columns[0] if len(columns) == 1 else f"{columns[0]} to {columns[-1]}"

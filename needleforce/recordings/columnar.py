@@ -1,21 +1,29 @@
-"""npz, Parquet and Feather: files that hold one column after the other."""
+"""Files of named columns: npz, Parquet, Feather, HDF5, MATLAB, TDMS; data frames."""
 
+import re
 import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from needleforce.recordings.errors import (
     RECOVER,
     FormatError,
+    RecordingError,
     optional_library,
     require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
 from needleforce.recordings.time_stamps import (
+    NS_PER_S,
     first_valid_stamp,
     start_of_clock,
+    to_nanoseconds,
     to_seconds,
 )
 
@@ -27,16 +35,35 @@ def read_npz(path: Path, max_bytes: int) -> Table:
     """Read an npz archive: arrays of numbers become columns; single numbers do not.
 
     Raises:
-        FormatError: It is no such archive, or holds no array of numbers.
+        FormatError: It is no such archive, or damaged.
     """
+    columns: dict[str, np.ndarray] = {}
     notes: list[str] = []
+    start_ns = 0
     try:
         with zipfile.ZipFile(path) as members:
             size = sum(member.file_size for member in members.infolist())
 
         require_size(size, max_bytes, f"{path}: its arrays")
         with np.load(path, allow_pickle=False) as archive:
-            arrays = _load_arrays(archive, notes)
+            for name in archive.files:
+                try:
+                    values = archive[name]
+                except ValueError as error:  # objects
+                    notes.append(f"column {name!r} was left out: {error}")
+                    continue
+
+                if name == START_KEY and values.ndim == 0:
+                    start_ns = int(values)
+                elif (
+                    values.ndim in (1, 2)
+                    and values.size
+                    and values.dtype.kind in "fiub"
+                ):
+                    columns[name] = values
+                elif values.ndim:
+                    kind = f"{values.dtype} {values.shape}"
+                    notes.append(f"column {name!r} was left out: {kind}")
     except (OSError, FormatError):
         raise
     except Exception as error:  # whatever numpy and zipfile run into
@@ -44,106 +71,253 @@ def read_npz(path: Path, max_bytes: int) -> Table:
             f"{path} is not an npz archive of numbers, or damaged ({error})", RECOVER
         ) from error
 
-    start = arrays.get(START_KEY, np.zeros(1))
-    columns: dict[str, np.ndarray] = {}
-    for name, values in arrays.items():
-        if values.ndim in (1, 2) and values.size and values.dtype.kind in "fiub":
-            columns[name] = values
-        elif values.ndim:
-            notes.append(f"column {name!r} was left out: {values.dtype} {values.shape}")
-
-    if not columns:
-        raise FormatError(f"{path} holds no array of numbers {'; '.join(notes)}")
-
-    start_ns = int(start) if start.ndim == 0 else 0
     return Table(columns=columns, warnings=tuple(notes), start_ns=start_ns)
-
-
-def _load_arrays(archive: Any, notes: list[str]) -> dict[str, np.ndarray]:
-    """Return the arrays of an archive but objects, which are added to the notes."""
-    arrays: dict[str, np.ndarray] = {}
-    for name in archive.files:
-        try:
-            arrays[name] = archive[name]
-        except ValueError as error:
-            notes.append(f"column {name!r} was left out: {error}")
-
-    return arrays
 
 
 def read_arrow(path: Path, max_bytes: int) -> Table:
     """Read the columns of numbers, lists and time stamps of a Parquet or Feather file.
 
     Raises:
-        FormatError: It is no such file, or holds no numbers.
+        FormatError: It is no such file, or damaged.
     """
-    kind = "parquet" if path.suffix.lower() == ".parquet" else "feather"
+    kind = path.suffix.lower().removeprefix(".")
     arrow = optional_library("pyarrow", "Parquet and Feather files")
     reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
     try:
-        if kind == "parquet":
+        if kind == "parquet":  # whose size is known before it is unpacked
             content = reader.ParquetFile(path).metadata
             groups = map(content.row_group, range(content.num_row_groups))
             size = sum(group.total_byte_size for group in groups)
             require_size(size, max_bytes, f"{path}: what it holds")
 
         content = reader.read_table(path, use_threads=False)
+        require_size(content.nbytes, max_bytes, f"{path}: what it holds")
+        table = table_of_frame(content.to_pandas(ignore_metadata=True))
     except (arrow.ArrowException, UnicodeDecodeError) as error:
         raise FormatError(
             f"{path} is damaged, cut short or of another kind ({error})", RECOVER
         ) from error
 
-    require_size(content.nbytes, max_bytes, f"{path}: what it holds")
+    own_start = (content.schema.metadata or {}).get(START_KEY.encode())
+    return table if own_start is None else replace(table, start_ns=int(own_start))
+
+
+def table_of_frame(frame: pd.DataFrame) -> Table:
+    """Return the columns of numbers, lists and times; warnings name the others."""
     columns: dict[str, np.ndarray] = {}
     notes: list[str] = []
-    start_ns = int((content.schema.metadata or {}).get(START_KEY.encode(), 0))
-    seconds = {f.name for f in content.schema if arrow.types.is_timestamp(f.type)}
-    for name, cells in zip(content.column_names, content.columns, strict=True):
-        try:
-            values = _values_of(cells, arrow)
-        except (arrow.ArrowException, TypeError, ValueError):
+    texts: dict[str, str] = {}
+    seconds: set[str] = set()
+    start_ns = 0
+    for name in map(str, frame):
+        cells = frame[name]
+        filled = cells.notna().to_numpy()
+        known = cells[filled]
+        if not len(known):
+            notes.append(f"column {name!r} is empty and was left out")
+        elif (numbers := _numbers_of(cells)) is not None:
+            columns[name] = numbers
+            odd = (
+                np.count_nonzero(filled & np.isnan(numbers)) if numbers.ndim < 2 else 0
+            )
+            notes += [f"column {name!r}: cells that are not numbers: {odd}"] * bool(odd)
+        elif (stamps_ns := _clock_ns(known)) is not None:
+            start_ns = start_ns or start_of_clock(first_valid_stamp(stamps_ns))
+            columns[name] = np.full(len(cells), np.nan)
+            columns[name][filled] = to_seconds(stamps_ns, start_ns)
+            seconds.add(name)
+        else:
+            texts[name] = str(known.iloc[0]).strip()
+
+    groups = find_joint_groups(columns, texts)
+    for name, text in texts.items():
+        advice = ": write its numbers as columns" if text.startswith("[") else ""
+        if not groups or "name" not in name:
             notes.append(
-                f"column {name!r} holds {cells.type}, no numbers, and was left out"
+                f"column {name!r} holds text ({text[:40]!r}) and was left out{advice}"
             )
-            continue
-
-        if name in seconds:
-            is_missing = values == np.iinfo(np.int64).min
-            start_ns = start_ns or start_of_clock(
-                first_valid_stamp(values[~is_missing])
-            )
-            values = np.where(is_missing, np.nan, to_seconds(values, start_ns))
-
-        columns[name] = values
-
-    if not columns or not content.num_rows:
-        raise FormatError(f"{path} holds no rows of numbers ({'; '.join(notes)})")
+    for group, members in groups.items():
+        columns[group] = np.stack([columns.pop(e) for e in members.values()], axis=1)
 
     return Table(
         columns=columns,
-        warnings=tuple(notes),
+        joint_names={group: tuple(members) for group, members in groups.items()},
         start_ns=start_ns,
         seconds=frozenset(seconds),
+        warnings=tuple(notes),
     )
 
 
-def _values_of(cells: Any, arrow: Any) -> np.ndarray:
-    """Return numbers, rows of lists, or stamps in ns; raises if they are none."""
-    if arrow.types.is_timestamp(cells.type):
-        return cells.to_numpy().astype("datetime64[ns]").astype(np.int64)
-    if arrow.types.is_nested(cells.type):
-        rows = cells.to_pylist()
-        width = max(len(row) for row in rows if row)
-        if width > MAX_LIST_NUMBERS:
-            raise TypeError("no signal")
+def _numbers_of(cells: pd.Series) -> np.ndarray | None:
+    """Return cells as numbers, NaN for those that are none; None if most are none.
 
-        empty = [None] * width
-        return np.array([row if row else empty for row in rows], dtype=np.float64)
-    if cells.null_count:
-        cells = cells.cast(arrow.float64(), safe=False)
+    Returns:
+        Shape (n,); of lists of one length, which are signals of joints, (n, k).
+    """
+    if cells.dtype.kind in "iub":
+        return cells.to_numpy()
+    if cells.dtype.kind == "M":
+        return None
 
-    values = cells.to_numpy()
-    if values.dtype.kind not in "fiub":
-        raise TypeError("no numbers")
+    lengths = {len(cell) for cell in cells if isinstance(cell, list | np.ndarray)}
+    if lengths:
+        width = max(lengths)
+        missing = [np.nan] * width
+        rows = [missing if cell is None else cell for cell in cells]
+        is_signal = len(lengths) == 1 and width <= MAX_LIST_NUMBERS
+        return np.array(rows, dtype=np.float64) if is_signal else None
 
-    return values
+    numbers = pd.to_numeric(cells.replace({True: 1, False: 0}), errors="coerce")
+    are_most = 2 * numbers.count() >= cells.count()
+    return numbers.to_numpy(np.float64) if are_most else None
+
+
+def _clock_ns(cells: pd.Series) -> np.ndarray | None:
+    """Return dates with times, or times that go on over midnight, in ns; or None."""
+    try:
+        if re.match(r"\s*\d+:\d+:\d", str(cells.iloc[0])):
+            day_ns = 86_400 * NS_PER_S
+            clock_ns = pd.to_timedelta(cells).to_numpy("m8[ns]").astype(np.int64)
+            steps_ns = np.diff(clock_ns, prepend=clock_ns[:1])
+            days = np.cumsum(np.round(-steps_ns / day_ns)).astype(np.int64)
+            return clock_ns + days * day_ns
+
+        dates = pd.to_datetime(cells, utc=True, format="ISO8601")
+        return dates.dt.tz_localize(None).to_numpy("M8[ns]").astype(np.int64)
+    except (ValueError, OverflowError):
+        return None
+
+
+def find_joint_groups(
+    names: Iterable[str], texts: Mapping[str, str]
+) -> dict[str, dict[str, str]]:
+    """Find the joints that text exported from ROS topics names.
+
+    `field.name0` holds the name of `field.position0`, or `name` the list of the names
+    of `position_0`, `position_1`, ...; these columns become one of two dimensions.
+
+    Args:
+        names: Of all columns of numbers.
+        texts: Of each column of text, what its first row holds.
+
+    Returns:
+        By name of the column that they become: the columns by joint.
+    """
+    joints: dict[str, dict[str, str]] = {}  # by number, by what is before `name`
+    for name, text in texts.items():
+        if match := re.fullmatch(r"((?:.*[./])?)name[_.]?\[?(\d{0,3})\]?", name):
+            listed = re.findall(r"['\"]([^'\"]+)['\"]", text)
+            numbered = {str(number): each for number, each in enumerate(listed)}
+            joints.setdefault(match[1], {}).update(
+                {match[2]: text} if match[2] else numbered
+            )
+
+    groups: dict[str, dict[str, str]] = {}
+    fields = ("position", "velocity", "effort")
+    for (head, joint_of), field in product(joints.items(), fields):
+        expression = re.compile(rf"{re.escape(head + field)}[_.]?\[?(\d{{1,3}})\]?")
+        matches = filter(None, map(expression.fullmatch, names))
+        column_of = {match[1]: match[0] for match in matches}
+        if joint_of and column_of.keys() == joint_of.keys():
+            members = {joint: column_of[number] for number, joint in joint_of.items()}
+            groups[head.replace(".", "/") + field] = members
+
+    return groups
+
+
+CONTAINER_SUFFIXES = (".h5", ".hdf5", ".mat", ".tdms")
+"""Of files whose arrays have names in groups."""
+
+
+def read_container(path: Path, max_bytes: int) -> Table:
+    """Read the numbers of shape (n,) or (n, k), n > 1, that a file holds.
+
+    Raises:
+        FileAccessError: The library that reads it is not installed.
+        FormatError: It is damaged, or of another kind.
+    """
+    with path.open("rb") as stream:
+        is_hdf5 = stream.read(8) == b"\x89HDF\r\n\x1a\n"
+
+    is_matlab = path.suffix.lower() == ".mat"
+    try:
+        if path.suffix.lower() == ".tdms":
+            return _read_tdms(path, max_bytes)
+        if is_hdf5 or not is_matlab:
+            arrays = _read_hdf5(path, max_bytes, is_matlab=is_matlab)
+        else:
+            library = optional_library("scipy.io", "MATLAB files")
+            arrays = _flat(library.loadmat(path, simplify_cells=True))
+    except (RecordingError, OSError) as error:
+        if isinstance(error, RecordingError) or error.errno:
+            raise
+
+        raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
+    except Exception as error:  # whatever damaged bytes make the library run into
+        raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
+
+    columns = {
+        name: values
+        for name, values in arrays.items()
+        if values.dtype.kind in "fiub" and values.ndim in (1, 2) and len(values) > 1
+    }
+    require_size(sum(v.nbytes for v in columns.values()), max_bytes, f"{path}")
+    return Table(columns=columns)
+
+
+def _read_hdf5(path: Path, max_bytes: int, *, is_matlab: bool) -> dict[str, np.ndarray]:
+    """Return the datasets of an HDF5 file; MATLAB writes columns as its rows."""
+    library = optional_library("h5py", "HDF5 files")
+    arrays: dict[str, np.ndarray] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, library.Dataset) and item.ndim in (1, 2):
+            require_size(item.nbytes, max_bytes, f"{path}: {name}")
+            values = item[()]
+            values = values.T if is_matlab else values
+            arrays[name] = values[:, 0] if values.shape[1:] == (1,) else values
+
+    with library.File(path) as file:
+        file.visititems(visit)
+
+    return arrays
+
+
+def _flat(content: Mapping[str, Any], start: str = "") -> dict[str, np.ndarray]:
+    """Return the arrays of structures in structures, by the names that lead there."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            arrays |= _flat(value, f"{start}{name}/")
+        elif isinstance(value, np.ndarray):
+            arrays[f"{start}{name}"] = value
+
+    return arrays
+
+
+def _read_tdms(path: Path, max_bytes: int) -> Table:
+    """Return the channels of a TDMS file, with their units and the clock of each."""
+    library = optional_library("nptdms", "TDMS files")
+    require_size(path.stat().st_size, max_bytes, f"{path}")
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    stamps_ns: dict[str, np.ndarray] = {}
+    for group in library.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            name = f"{group.name}/{channel.name}"
+            values = channel[:]
+            if values.dtype.kind not in "fiub" or len(values) < 2:
+                continue
+
+            columns[name] = values
+            if unit := channel.properties.get("unit_string"):
+                units[name] = unit
+            if "wf_increment" in channel.properties:
+                stamps_ns[name] = to_nanoseconds(channel.time_track(), 0)
+
+    # Either every channel has a clock, or one of them is the time.
+    if stamps_ns.keys() != columns.keys():
+        return Table(columns=columns, units=units)
+
+    clocks = {name: name for name in columns}
+    return Table(columns=columns, units=units, clocks=clocks, stamps_ns=stamps_ns)

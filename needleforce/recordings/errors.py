@@ -13,8 +13,8 @@ MAX_BYTES = 2 << 30
 
 
 KNOWN_SUFFIX = (
-    "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, "
-    ".bag or a folder."
+    "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
+    "or be a folder."
 )
 OWN_PLACES = "Give each output a place of its own, in a folder that exists."
 RECOVER = (

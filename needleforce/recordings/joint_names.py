@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError
-from needleforce.recordings.mapping import ColumnMapping
 
 
 class JointMatch(NamedTuple):
@@ -109,46 +108,3 @@ def names_channel(match: JointMatch, channel: Channel) -> bool:
         for end in range(start + 1, len(words) + 1)
     }
     return others.isdisjoint(words) and not runs.isdisjoint(channel.spellings)
-
-
-def order_joints(
-    name: str, joints: Sequence[str], mapping: ColumnMapping, robot: Sequence[str]
-) -> tuple[tuple[str, ...], list[str]]:
-    """Return the order of joints: the mapping's, the robot's, or the recording's.
-
-    And what was assumed, one sentence each.
-
-    Args:
-        name: Of the topic or column, for messages.
-        joints: That the recording names, in its order; none if it names none.
-        mapping: In which order the robot has them, or which pattern they fit.
-        robot: The robot's joints, where the mapping does not say.
-
-    Raises:
-        ColumnError: The recording lacks a joint of the mapping, or has joints of
-            several arms that would fit.
-    """
-    missing = [joint for joint in mapping.joint_order if joint not in joints]
-    if joints and missing:
-        raise ColumnError(
-            f"{name} lacks the joints {', '.join(missing)} of the mapping; it has: "
-            f"{', '.join(joints)}"
-        )
-
-    order = tuple(mapping.joint_order or robot)
-    if not joints or not order:
-        return tuple(joints), []
-
-    chosen = choose_match(match_joints(joints, order), mapping.joint_pattern, name)
-    if chosen is None:
-        return tuple(joints), [
-            f"{name} has the joints {', '.join(joints)}, the robot {', '.join(order)}; "
-            "the order of the recording was kept, name another one with joints in the "
-            "mapping"
-        ]
-
-    note = (
-        f"{name}: the joints {chosen.names[0]}, ... ({chosen.pattern}) were taken for "
-        f"the robot's {order[0]}, ..."
-    )
-    return chosen.names, [] if chosen.names == order else [note]

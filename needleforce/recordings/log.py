@@ -1,24 +1,26 @@
 """A log: channels in SI units, with one time stamp per row."""
 
+import fnmatch
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import (
+from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
+    advise_column,
     advise_unit,
     describe_columns,
-    unit_of_column,
+    read_units,
+    several_fit,
 )
-from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import advise_column
 from needleforce.recordings.errors import (
     ColumnError,
     LogError,
@@ -26,14 +28,15 @@ from needleforce.recordings.errors import (
     RecordingError,
     UnitError,
 )
-from needleforce.recordings.mapping import ColumnSpec
-from needleforce.recordings.table import Table, read_only
+from needleforce.recordings.table import Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
+    aligned,
     first_valid_stamp,
     rows_in_order,
     start_of_clock,
     to_seconds,
+    with_own_clocks,
 )
 
 SORTED_WITHIN_S = 1.0
@@ -73,20 +76,14 @@ class Log:
             LogError: There is no channel, something is no array of numbers of the right
                 shape, or time is not finite.
         """
-        t_s = read_only("t_s", self.t_s)
+        t_s = _read_only("t_s", self.t_s)
         channels = {
-            name: read_only(name, values) for name, values in self.channels.items()
+            name: _read_only(name, values) for name, values in self.channels.items()
         }
-        if not channels:
-            raise LogError("a log needs at least one channel beside time")
-        if t_s.ndim != 1 or not t_s.size:
-            raise LogError(f"t_s has shape {t_s.shape}; expected (n,) with n > 0")
-
-        invalid_rows = np.flatnonzero(~np.isfinite(t_s))
-        if invalid_rows.size:
+        if t_s.ndim != 1 or not t_s.size or not np.isfinite(t_s).all() or not channels:
             raise LogError(
-                f"t_s: rows that are not finite: {invalid_rows.size} "
-                f"(first: row {invalid_rows[0] + 1})"
+                f"t_s, shape {t_s.shape}, and {list(channels)}: a log needs at least "
+                "one channel, and time stamps that are finite, shape (n,), n > 0"
             )
 
         for name, values in channels.items():
@@ -141,98 +138,171 @@ class LogRows:
     channels: Mapping[str, Array]
 
 
+def _read_only(name: str, values: ArrayLike) -> Array:
+    """Return a read-only copy as float64; `LogError` if values are no numbers."""
+    try:
+        copy = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise LogError(f"{name} is not an array of numbers: {error}") from error
+
+    copy.setflags(write=False)
+    return copy
+
+
 def log_of_table(table: Table, request: ChannelRequest) -> Log:
     """Return the channels of a table in SI units, in the order of time.
 
     Raises:
         RecordingError: As `read_log` does.
     """
-    request = request.with_layout(table)
     layout = request.find_layout(table)
     note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
+    request = request.with_layout(table)
     try:
-        found, notes = _find_channels(table, request)
+        found = _find_channels(table, request)
     except RecordingError as error:  # the note may say why
         raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-    units: dict[str, ChannelUnit] = {}
-    measured: dict[str, Array] = {}
-    start_ns = table.start_ns
-    if request.mapping.rate_hz is None:
-        columns = _find_time(table, request)
-        units["time"] = _units_of(table, request, "time", columns)
-        measured["t_s"], start_ns = _time_s(table, request, units["time"])
+    units: list[ChannelUnit] = []
+    table = _with_time(table, request, found, units)
+    notes = [*table.warnings, *([note] if note else [])]
+    measured = _read_channels(table, request, found, units, notes)
+    joint_counts = {key: v.shape[1] for key, v in measured.items() if v.ndim == 2}
+    if len({*joint_counts.values()}) > 1:
+        raise LogError(
+            f"channels differ in their numbers of joints: {joint_counts}",
+            "Name the columns of all joints under each channel of the `mapping`.",
+        )
 
-    for name, columns in found.items():
-        channel = request.channels[name]
-        units[name] = _units_of(table, request, name, columns)
-        values = _values_of(table, channel, units[name])
-        if _is_used(channel, values, request):
-            measured[channel.key] = values
-        else:
-            del units[name]
-            notes.append(f"{name}: its columns hold no finite value and were left out")
-
-    _require_equal_sizes(measured)
-    t_s = measured.pop("t_s", None)
     first = next(iter(measured.values()))
-    rows = np.arange(len(first))
-    if t_s is None:
-        t_s = rows / (request.mapping.rate_hz or 1.0)
+    if request.mapping.rate_hz is not None:
+        rows = np.arange(len(first))
+        t_s = rows / request.mapping.rate_hz
     else:
         within_s = request.mapping.sort_within_s
         within_s = SORTED_WITHIN_S if within_s is None else within_s
-        rows, t_s, time_notes = rows_in_order(t_s, first, within_s)
+        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first, within_s)
         notes += time_notes
 
     channels = {key: values[rows] for key, values in measured.items()}
-    for name, unit in units.items():
-        channel = request.channels[name]
-        is_time = name == "time"
-        sizes = (
-            np.median(np.diff(t_s), keepdims=True) if is_time else channels[channel.key]
-        )
-        notes += _check_sizes(channel, unit, np.abs(sizes))
-
-    for key, values in channels.items():
-        notes += _report_invalid(key, values, rows)
+    steps_s = np.median(np.diff(t_s), keepdims=True)
+    for unit in units:
+        channel = request.channels[unit.channel]
+        notes += _check_sizes(channel, unit, np.abs(channels.get(channel.key, steps_s)))
 
     return Log(
         t_s=t_s,
         channels=channels,
-        start_ns=start_ns,
-        units=tuple(units.values()),
+        start_ns=table.start_ns,
+        units=tuple(units),
         left_out=len(first) - len(rows),
-        warnings=tuple(
-            dict.fromkeys((*table.warnings, *([note] * bool(note)), *notes))
-        ),
+        warnings=tuple(dict.fromkeys([*notes, *_report_invalid(channels, rows)])),
     )
 
 
-def _find_channels(
-    table: Table, request: ChannelRequest
-) -> tuple[dict[str, list[str]], list[str]]:
-    """Return columns by channel, and what was assumed of them."""
-    found: dict[str, list[str]] = {}
-    by_joint: list[str] = []
-    for name in request.requested:
+def _with_time(
+    table: Table,
+    request: ChannelRequest,
+    found: Mapping[str, Sequence[str]],
+    units: list[ChannelUnit],
+) -> Table:
+    """Return a table with one row for each time stamp, and these in s as `t_s`.
+
+    There are none where the mapping gives a rate; the unit of others is added.
+
+    Raises:
+        ColumnError: There is no time stamp.
+        LogError: Columns differ in length.
+    """
+    has_clocks = bool(table.clocks)
+    if has_clocks:
+        table = aligned(table, _find_reference(table, found))
+
+    if request.mapping.rate_hz is None:
+        units.append(time_unit(table, request))
+
+    used = [*found.values(), *(unit.columns for unit in units)]
+    lengths = {name: len(table.values(name)) for names in used for name in names}
+    if len({*lengths.values()}) > 1:
+        raise LogError(f"columns differ in their numbers of rows: {lengths}")
+    if not units:
+        return table
+
+    t_s, start_ns = read_times(table, request.channels["time"], units[0])
+    table = replace(table, start_ns=start_ns)
+    parted = table if has_clocks else with_own_clocks(table, found, t_s)
+    if parted.clocks:
+        return aligned(parted, _find_reference(parted, found))
+
+    return replace(table, columns={**table.columns, "t_s": t_s})
+
+
+def _read_channels(
+    table: Table,
+    request: ChannelRequest,
+    found: Mapping[str, Sequence[str]],
+    units: list[ChannelUnit],
+    notes: list[str],
+) -> dict[str, Array]:
+    """Return channels in SI units by key; their units, and what is odd, are added.
+
+    Raises:
+        LogError: A required or mapped channel has a column without a finite value.
+    """
+    measured: dict[str, Array] = {}
+    for name, columns in found.items():
         channel = request.channels[name]
-        if columns := request.find(table, channel):
-            found[name] = columns
-            if columns == request.find_by_joints(table, channel):
-                by_joint.append(f"{name}: {columns[0]}, ...")
+        unit = read_units(table, channel, columns, request.mapping.channels.get(name))
+        missing = request.mapping.knowledge.missing_values
+        values = _values_of(table, channel, unit, missing)
+        is_known = np.isfinite(values).any(axis=0)
+        if is_known.all() or not len(values):
+            units.append(unit)
+            measured[channel.key] = values
+            continue
 
-    pattern = request.mapping.joint_pattern
-    if pattern and not by_joint and not table.joint_names:
-        raise ColumnError(
-            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
-            "messages of the recording have names of joints; leave it out"
-        )
+        joints = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
+        place = f" at joint {joints}" if is_known.any() else ""
+        fault = f"{channel.key} has no finite value{place} in {len(values)} rows"
+        if name in (*request.required, *request.mapping.channels):
+            raise LogError(fault)
 
+        notes.append(f"{fault} and was left out")
+
+    return measured
+
+
+def _report_invalid(channels: Mapping[str, Array], rows: NDArray[np.intp]) -> list[str]:
+    """Return a note on each channel that has rows which are not finite.
+
+    Args:
+        channels: By key, shape (n,) or (n, joints).
+        rows: Their numbers in the file, from 0, shape (n,).
+    """
+    notes: list[str] = []
+    for key, values in channels.items():
+        is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
+        if not is_finite.all():
+            row = rows[np.argmin(is_finite)] + 1
+            count = np.count_nonzero(~is_finite)
+            notes.append(
+                f"{key}: rows with NaN or infinity: {count} (first: row {row})"
+            )
+
+    return notes
+
+
+def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]]:
+    """Return columns by channel.
+
+    Raises:
+        ColumnError: A required one is not there, or none; or no joint has a name that
+            fits the pattern of the mapping.
+    """
+    found = request.find_all(table)
     missing = [request.channels[name] for name in request.required if name not in found]
-    if not found and not missing:
-        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-    for channel in missing:
+    if missing:
+        channel = missing[0]
         names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
         raise ColumnError(
             f"no column found for {names}; usual names of {channel.name} are "
@@ -240,134 +310,115 @@ def _find_channels(
             f"{table.left_out()}",
             advise_column(channel),
         )
+    if not found:
+        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
 
-    listed = "; ".join(by_joint)
-    return found, [f"columns found by the names of the joints: {listed}"] * bool(
-        by_joint
-    )
+    pattern = request.mapping.joint_pattern
+    columns = {column for each in found.values() for column in each}
+    if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
+        raise ColumnError(
+            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
+            "messages of the recording have names of joints; leave it out"
+        )
+
+    return found
 
 
-def _find_time(table: Table, request: ChannelRequest) -> list[str]:
-    """Return the column of time stamps.
+def _find_reference(table: Table, found: Mapping[str, Sequence[str]]) -> str:
+    """Return the clock whose stamps are the rows: that of the torques or the force."""
+    usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
+    column, *_ = next(iter([*usual, *found.values()]))
+    return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
+
+
+def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
+    """Return the column of time stamps, or those whose sum they are, and their units.
 
     Raises:
-        ColumnError: There is none, or seconds and their fraction stand in two.
+        ColumnError: There is none.
     """
-    columns = request.find(table, request.channels["time"])
-    for fraction in table.columns:
+    channel = request.channels["time"]
+    spec = request.mapping.channels.get("time")
+    columns = request.find(table, channel)
+    for fraction in table.columns if spec is None else ():
         match = re.fullmatch(r"(?i)(.*?)(n|nano|u|micro)s(ec(ond)?s?)?", fraction)
         whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?" if match else "(?!)"
         seconds = next(filter(re.compile(whole).fullmatch, table.columns), "")
         if match and seconds and (not columns or {seconds, fraction} & {*columns}):
-            factor = 1e-9 if match[2].lower().startswith("n") else 1e-6
-            raise ColumnError(
-                f"time: the stamp stands in two columns, {seconds!r} and "
-                f"{fraction!r}; expected one",
-                f"Write a column of their sum, {seconds} + {factor:g} * {fraction}, "
-                "and name it as time.",
+            unit = "ns" if match[2].lower().startswith("n") else "us"
+            return ChannelUnit(
+                "time", (seconds, fraction), ("s", unit), ("header", "header")
             )
 
+    if spec is not None and len(columns) > len(spec.patterns):
+        raise several_fit(channel, columns)
     if not columns:
         raise ColumnError(
             f"no time column found. Columns are: {table.describe()}{table.left_out()}",
             "Name it under `time` in the `mapping`, or give `rate_hz`.",
         )
 
-    return columns
+    return read_units(table, channel, columns, spec)
 
 
-def _units_of(
-    table: Table, request: ChannelRequest, name: str, columns: Sequence[str]
-) -> ChannelUnit:
-    """Return in which unit each column of a channel is read; raises `UnitError`."""
-    spec = request.mapping.channels.get(name) or ColumnSpec(columns=tuple(columns))
-    channel = request.channels[name]
-    found = [unit_of_column(table, channel, each, spec) for each in columns]
-    units, origins = zip(*found, strict=True)
-    return ChannelUnit(name, tuple(columns), units, origins, spec.scale)
-
-
-def _values_of(table: Table, channel: Channel, unit: ChannelUnit) -> Array:
+def _values_of(
+    table: Table, channel: Channel, unit: ChannelUnit, missing: Sequence[float] = ()
+) -> Array:
     """Return a channel in SI units, shape (n,) or (n, joints).
+
+    Args:
+        table: With the columns.
+        channel: The channel.
+        unit: Its columns and their units.
+        missing: Numbers in the file that stand for no value.
 
     Raises:
         ColumnError: There are too many columns.
-        LogError: They differ in length.
         MappingError: There are more or fewer scale factors than columns.
     """
-    listed = ", ".join(unit.columns)
-    columns = [table.values(name) for name in unit.columns]
-    widths = [table.width(name) for name in unit.columns]
-    if len({len(values) for values in columns}) > 1:
-        raise LogError(f"{channel.name}: the columns {listed} differ in length")
-    if sum(widths) != 1 and not channel.per_joint:
-        raise ColumnError(
-            f"{channel.name} is one column, but {listed} are {sum(widths)}"
-        )
+    values = np.column_stack([table.values(name) for name in unit.columns])
+    width = values.shape[1]
+    if width != 1 and not channel.per_joint:
+        listed = ", ".join(unit.columns)
+        raise ColumnError(f"{channel.name} is one column, but {listed} are {width}")
 
     scales = np.atleast_1d(np.array(unit.scale, dtype=np.float64))
-    if scales.size not in (1, sum(widths)):
+    if scales.size not in (1, width):
         raise MappingError(
-            f"{channel.name}: {scales.size} scale factors for {sum(widths)} columns, "
+            f"{channel.name}: {scales.size} scale factors for {width} columns, "
             "expected one for all or one for each"
         )
 
-    to_si = [channel.units[each] for each in unit.units]
-    values = np.column_stack(columns) * (np.repeat(to_si, widths) * scales)
+    widths = [table.width(name) for name in unit.columns]
+    to_si = np.repeat([channel.units[each] for each in unit.units], widths)
+    values = np.where(np.isin(values, missing), np.nan, values * (to_si * scales))
     return values if channel.per_joint else values[:, 0]
 
 
-def _time_s(
-    table: Table, request: ChannelRequest, unit: ChannelUnit
-) -> tuple[Array, int]:
+def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
     """Return time stamps in s, shape (n,), and the instant in ns that they count from.
 
-    Whole nanoseconds too large for float64 are counted from the first.
+    Whole nanoseconds too large for float64, and sums of columns, are counted from the
+    first.
     """
-    channel = request.channels["time"]
     stamps = table.values(unit.columns[0])
     is_ns = channel.units[unit.units[0]] * NS_PER_S == 1.0 and unit.scale == 1.0
-    if stamps.dtype.kind != "i" or table.start_ns or not is_ns:
+    if len(unit.columns) > 1:
+        factors = [channel.units[each] * NS_PER_S for each in unit.units]
+        terms = zip(unit.columns, factors, strict=True)
+        parts_ns = np.array([table.values(name) * factor for name, factor in terms])
+        known = np.isfinite(parts_ns).all(axis=0)
+        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
+    elif stamps.dtype.kind in "iu" and not table.start_ns and is_ns:
+        known = np.full(len(stamps), fill_value=True)
+        stamps_ns = stamps.astype(np.int64)
+    else:
         return _values_of(table, channel, unit), table.start_ns
 
-    start_ns = start_of_clock(first_valid_stamp(stamps))
-    return to_seconds(stamps, start_ns), start_ns
-
-
-def _is_used(channel: Channel, values: Array, request: ChannelRequest) -> bool:
-    """Return whether a channel is required, mapped, or holds values.
-
-    Raises:
-        ColumnError: Some joints of a channel that is not required have no value: every
-            row would be rejected.
-        LogError: A required or mapped channel has no finite value.
-    """
-    is_known = np.isfinite(values).any(axis=0)
-    is_needed = channel.name in (*request.required, *request.mapping.channels)
-    if is_needed and len(values) and not is_known.any():
-        raise LogError(f"{channel.key} has no finite value in {len(values)} rows")
-    if channel.name not in request.required and is_known.any() and not is_known.all():
-        numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
-        raise ColumnError(
-            f"{channel.name} has no finite value at joint {numbers}",
-            "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under "
-            f"`{channel.name}` in the `mapping`, or name its columns there.",
-        )
-
-    return is_needed or bool(is_known.any())
-
-
-def _require_equal_sizes(measured: Mapping[str, Array]) -> None:
-    """Raise `LogError` if channels differ in length, or in the number of joints."""
-    shapes = {key: values.shape for key, values in measured.items()}
-    lengths = {shape[0] for shape in shapes.values()}
-    joint_counts = {shape[1] for shape in shapes.values() if len(shape) == 2}
-    if len(lengths) > 1 or len(joint_counts) > 1:
-        listed = ", ".join(f"{key} {shape}" for key, shape in shapes.items())
-        raise LogError(
-            f"channels differ in their numbers of rows or joints: {listed}",
-            "Name the columns of all joints under each channel of the `mapping`.",
-        )
+    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
+    t_s = np.full(len(stamps), np.nan)
+    t_s[known] = to_seconds(stamps_ns, start_ns)
+    return t_s, start_ns
 
 
 def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:
@@ -384,13 +435,12 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     Raises:
         UnitError: More rows than spikes would be are too large for the unit.
     """
-    max_fraction = 0.05  # fewer may be spikes
     if ASSUMED not in unit.origins:
         return []
 
     largest = np.nan_to_num(sizes, posinf=0.0).reshape(len(sizes), -1).max(axis=1)
     large_count = np.count_nonzero(largest > channel.at_most)
-    size = f"is up to {largest.max():.4g} {channel.si_unit}"
+    size = f"is up to {largest.max():.4g} {channel.units.si}"
     names = describe_columns(unit.columns)
     # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
     if channel.key == "force_N" and 0.0 < largest.max() < 0.05:
@@ -398,33 +448,11 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     if not large_count:
         return []
 
-    quantity = "median step" if channel.key == "t_s" else "size"
-    text = (
-        f"{channel.name}: the {quantity} of {names} {size}, expected at most "
-        f"{channel.at_most:.3g}"
+    text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
+    if large_count <= 0.05 * len(sizes):  # so few may be spikes
+        return [f"{text}; rows beyond it: {large_count}"]
+
+    raise UnitError(
+        f"{text}. The file states no unit of {', '.join(channel.units)}",
+        advise_unit(channel, unit.columns),
     )
-    if large_count > max_fraction * len(sizes):
-        listed = ", ".join(channel.units)
-        raise UnitError(
-            f"{text}. The file states no unit of {listed}",
-            advise_unit(channel, unit.columns),
-        )
-
-    return [f"{text}; rows beyond it: {large_count}"]
-
-
-def _report_invalid(key: str, values: Array, rows: NDArray[np.intp]) -> list[str]:
-    """Return a note on rows that are not finite, or nothing.
-
-    Args:
-        key: Of the channel.
-        values: Of it, shape (n,) or (n, joints).
-        rows: Their numbers in the file, from 0, shape (n,).
-    """
-    is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
-    if is_finite.all():
-        return []
-
-    first = rows[np.argmin(is_finite)] + 1
-    count = np.count_nonzero(~is_finite)
-    return [f"{key}: rows with NaN or infinity: {count} (first: row {first})"]

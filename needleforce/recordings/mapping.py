@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -20,39 +20,34 @@ from needleforce.recordings.channels import (
 )
 from needleforce.recordings.errors import FormatError, MappingError
 
-_Kind = TypeVar("_Kind")
-
 LEFT_OUT = "none"
 """Stands in place of a channel's columns if the channel is not to be read."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnSpec:
+class ColumnSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The columns of one channel.
 
     Attributes:
         columns: Name or pattern, as `q{1..7}` or `q_*`, or several, by joint; or
             `LEFT_OUT`.
-        unit: In the file; None to take it from the column's name, else SI.
+        unit: In the file, of all columns or of each; None to take it from the column's
+            name, else SI.
         scale: Factor for all columns, or one for each, applied after conversion to SI;
             a negative one turns a sign.
     """
 
     columns: str | tuple[str, ...]
-    unit: str | None = None
+    unit: str | tuple[str, ...] | None = None
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        """Check the columns and the scale.
-
-        Raises:
-            MappingError: One is missing, or a scale is zero or not finite.
-        """
+        """Raise `MappingError` if a column is missing, or a scale is no factor."""
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
 
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
-        if not scales or not all(map(_is_factor, scales)):
+        # A whole number may exceed floats.
+        if not scales or not all(0.0 < abs(s) <= sys.float_info.max for s in scales):
             raise MappingError(
                 f"scale = {self.scale!r:.60} must be finite and not zero"
             )
@@ -63,21 +58,24 @@ class ColumnSpec:
         return (self.columns,) if isinstance(self.columns, str) else self.columns
 
 
-def _is_factor(value: float) -> bool:
-    """Return whether a number is finite and not zero; a whole one may exceed floats."""
-    return 0.0 < abs(value) <= sys.float_info.max
-
-
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """Read the short form: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas, `SCALE` a number or one
     for each column, likewise separated. What follows a colon counts as scale or unit
-    only if it is one, since column names may hold colons themselves.
+    only if it is one, since column names may hold colons themselves. Time stamps may be
+    a sum, as in `sec:s+nanosec:ns`.
 
     Raises:
         MappingError: No column is named, or the scale is zero or not finite.
     """
+    if channel.name == "time" and "+" in text:
+        terms = [parse_column_spec(term, channel) for term in text.split("+")]
+        columns = tuple(name for term in terms for name in term.patterns)
+        return ColumnSpec(
+            columns=columns, unit=tuple(str(term.unit or "s") for term in terms)
+        )
+
     unit = None
     scale: tuple[float, ...] = (1.0,)
     head, colon, tail = text.rpartition(":")
@@ -107,19 +105,14 @@ class ColumnMapping:
         rate_hz: Samples/s of a file without time stamps; it replaces a time column.
         joints: Names of the robot's joints in the recording, in its order, by which
             signals are found and put in order; or one pattern that they fit, `left_*`.
-        reference_topic: Topic of a bag whose messages are the rows of the log.
-        sort_within_s: Rows are sorted that come no later than this after newer ones;
-            None for the usual time.
-        payload: What hangs on the robot, for the command that needs to know it.
+        sort_within_s: Rows are sorted that come no later than this after newer ones.
         knowledge: Channels, units and layouts that are known.
     """
 
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
-    reference_topic: str | None = None
     sort_within_s: float | None = None
-    payload: Any = None
     knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -128,30 +121,37 @@ class ColumnMapping:
         Raises:
             MappingError: One is not known, or they contradict each other.
         """
-        if self.sort_within_s is not None and not self.sort_within_s >= 0.0:
+        for name in ("rate_hz", "sort_within_s"):
+            value = getattr(self, name)
+            is_zero = value == 0.0 and name == "rate_hz"
+            if value is not None and (
+                not 0.0 <= value <= sys.float_info.max or is_zero
+            ):
+                raise MappingError(f"{name} = {value!r:.60} must be a positive number")
+        if self.rate_hz is not None and "time" in self.channels:
             raise MappingError(
-                f"sort_within_s = {self.sort_within_s!r:.60} must be a time in s"
+                "both rate_hz and a time column are given, expected one of them"
             )
-        if self.rate_hz is not None:
-            if not (_is_factor(self.rate_hz) and self.rate_hz > 0.0):
-                raise MappingError(
-                    f"rate_hz = {self.rate_hz!r:.60} must be a positive number of "
-                    "samples/s"
-                )
-            if "time" in self.channels:
-                raise MappingError(
-                    "both rate_hz and a time column are given, expected one of them"
-                )
         if isinstance(self.joints, str):
             names = tuple(name.strip() for name in self.joints.split(","))
             object.__setattr__(self, "joints", names)
         if len(set(self.joints)) < len(self.joints):
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
 
-        channels = {
-            name: _with_known_unit(spec, known_channel(name, self.knowledge))
-            for name, spec in self.channels.items()
-        }
+        channels: dict[str, ColumnSpec] = {}
+        for name, spec in self.channels.items():
+            units = known_channel(name, self.knowledge).units
+            asked = (spec.unit,) if isinstance(spec.unit, str) else spec.unit or ()
+            found = tuple(units.find(unit) for unit in asked)
+            if None in found:
+                raise MappingError(
+                    f"unit {spec.unit!r} of channel {name!r} is not known, expected: "
+                    f"{', '.join(units)}"
+                )
+
+            unit = found[0] if isinstance(spec.unit, str) else found or None
+            channels[name] = msgspec.structs.replace(spec, unit=unit)
+
         object.__setattr__(self, "channels", MappingProxyType(channels))
 
     @property
@@ -168,7 +168,7 @@ class ColumnMapping:
     def left_out(self) -> frozenset[str]:
         """The channels that are not to be read, although the file may have them."""
         return frozenset(
-            name for name, spec in self.channels.items() if spec.columns == LEFT_OUT
+            name for name, spec in self.channels.items() if spec.patterns == (LEFT_OUT,)
         )
 
 
@@ -182,38 +182,23 @@ def known_channel(name: str, knowledge: Knowledge) -> Channel:
     return knowledge.channels[name]
 
 
-def _with_known_unit(spec: ColumnSpec, channel: Channel) -> ColumnSpec:
-    """Return columns with the unit as the channel spells it; `MappingError` if none."""
-    unit = None if spec.unit is None else channel.units.find(spec.unit)
-    if unit is None and spec.unit is not None:
-        raise MappingError(
-            f"unit {spec.unit!r} of channel {channel.name!r} is not known, expected: "
-            f"{', '.join(channel.units)}"
-        )
-
-    return replace(spec, unit=unit)
-
-
 def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMapping:
     """Read a column mapping from a TOML file.
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
     the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
-    `rate_hz`, `joints`, `reference_topic`, `sort_within_s` and `payload`, see
-    `ColumnMapping`.
+    `rate_hz`, `joints` and `sort_within_s`, see `ColumnMapping`, and `payload`, which
+    is for commands.
 
     Raises:
         FileAccessError: the file cannot be read.
         MappingError: it is not TOML, or a channel, key, unit or value in it is not
             valid.
     """
-    top_keys = {"rate_hz", "joints", "reference_topic", "sort_within_s", "payload"}
     try:
         content = read_toml(path, "mapping")
-        top = {name: content.pop(name) for name in top_keys & content.keys()}
-        mapping = _convert(top, ColumnMapping, "$")
-        channels = _convert_channels(content, knowledge)
-        return replace(mapping, channels=channels, knowledge=knowledge)
+        content.pop("payload", None)
+        return _mapping_of(content, knowledge)
     except (FormatError, MappingError) as error:
         raise MappingError(f"{path}: {error}") from error
 
@@ -234,47 +219,34 @@ def load_layouts(*paths: str | Path) -> Knowledge:
 
 def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
     """Return what the columns of a layout are; `MappingError` if that is not valid."""
+    top = {} if layout.rate_hz is None else {"rate_hz": layout.rate_hz}
     try:
-        return ColumnMapping(
-            channels=_convert_channels(layout.channels, knowledge),
-            rate_hz=layout.rate_hz,
-            joints=layout.joints,
-            knowledge=knowledge,
+        return _mapping_of(
+            {**layout.channels, **top, "joints": layout.joints}, knowledge
         )
     except MappingError as error:
         raise MappingError(f"layout {layout.name!r}: {error}") from error
 
 
-def _convert_channels(
-    entries: Mapping[str, Any], knowledge: Knowledge
-) -> dict[str, ColumnSpec]:
-    """Return columns by channel from entries in TOML: tables, or only columns.
-
-    Raises:
-        MappingError: An entry is not valid.
-    """
+def _mapping_of(content: Mapping[str, Any], knowledge: Knowledge) -> ColumnMapping:
+    """Return a mapping from content of TOML; `MappingError` if that is not valid."""
+    top_keys = {"rate_hz", "joints", "sort_within_s"}
     channels: dict[str, ColumnSpec] = {}
-    for name, entry in entries.items():
-        channel = known_channel(name, knowledge)
-        if isinstance(entry, str):
-            channels[name] = parse_column_spec(entry, channel)
-            continue
-
-        spec = entry if isinstance(entry, dict) else {"columns": entry}
-        if unknown := spec.keys() - {"columns", "unit", "scale"}:
-            raise MappingError(
-                f"[{name}] has {', '.join(sorted(unknown))}; expected columns, unit "
-                "and scale"
-            )
-
-        channels[name] = _convert(spec, ColumnSpec, f"$.{name}")
-
-    return channels
-
-
-def _convert(content: Any, kind: type[_Kind], place: str) -> _Kind:
-    """Return content of TOML as a type; `MappingError` with its place if it is not."""
+    name = "$"
     try:
-        return msgspec.convert(content, kind)
+        top = {key: content[key] for key in top_keys & content.keys()}
+        mapping = msgspec.convert(top, ColumnMapping)
+        for name, entry in content.items():
+            if name in top_keys:
+                continue
+
+            channel = known_channel(name, knowledge)
+            if isinstance(entry, str):
+                channels[name] = parse_column_spec(entry, channel)
+            else:
+                spec = entry if isinstance(entry, dict) else {"columns": entry}
+                channels[name] = msgspec.convert(spec, ColumnSpec)
     except (msgspec.ValidationError, OverflowError) as error:
-        raise MappingError(f"{place}: {error}") from error
+        raise MappingError(f"{name}: {error}") from error
+
+    return replace(mapping, channels=channels, knowledge=knowledge)

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import unit_of_column
 from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import ChannelUnit, read_units
 from needleforce.recordings.errors import ColumnError, UnitError
-from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
+from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
 from needleforce.recordings.open_recording import columns_of
 from needleforce.recordings.table import Table
 
@@ -39,27 +39,51 @@ def suggest_mapping(
     request = ChannelRequest(known, joints=tuple(joints)).with_layout(table)
     known = request.mapping
     names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
-    order = known.joint_order or (joints if names_robot else ())
     top = {
         "rate_hz": known.rate_hz,
-        "reference_topic": known.reference_topic,
-        "joints": list(order),
+        "joints": list(known.joint_order or (joints if names_robot else ())),
     }
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
-    lines += [*payload, ""]
-    is_timed = known.rate_hz is not None or "t_s" in table.seconds
+    is_timed = known.rate_hz is not None or table.clocks
     used: set[str] = set()
     for name in channels if is_timed else ("time", *channels):
-        lines += [*_channel_lines(table, request, request.channels[name], used), ""]
+        channel = request.channels[name]
+        try:
+            unit = _find_unit(table, request, channel)
+        except (ColumnError, UnitError) as error:
+            if name in known.channels:
+                raise
 
-    lines.append("# Columns that are not used:")
+            lines.append(comment_line(f"{name}: {error}"))
+            continue
+
+        used |= {*unit.columns}
+        columns = unit.columns[0] if len(unit.columns) == 1 else unit.columns
+        value = f"columns = {json.dumps(columns)}"
+        if columns != LEFT_OUT:
+            units = unit.units[0] if len({*unit.units}) == 1 else unit.units
+            value += f", unit = {json.dumps(units)}, scale = {json.dumps(unit.scale)}"
+        lines.append(f"{name} = {{ {value} }}  # {channel.meaning}")
+
+    lines += ["", *payload, "", "# Columns that are not used:"]
     for name, values in table.columns.items():
         if name not in used:
             lines.append(comment_line(f"  {name} {list(values.shape[1:]) or ''}"))
 
     return "\n".join([*lines, ""])
+
+
+def _find_unit(table: Table, request: ChannelRequest, channel: Channel) -> ChannelUnit:
+    """Return a channel's columns and units; raises if they are not known."""
+    spec = request.mapping.channels.get(channel.name)
+    if spec is not None and spec.patterns == (LEFT_OUT,):
+        return ChannelUnit(channel.name, (LEFT_OUT,), (), ())
+    if columns := request.find(table, channel):
+        return read_units(table, channel, columns, spec)
+
+    raise ColumnError("not found")
 
 
 def comment_line(text: str) -> str:
@@ -68,37 +92,3 @@ def comment_line(text: str) -> str:
     Names in it come from files and must not end its line.
     """
     return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-
-
-def _channel_lines(
-    table: Table, request: ChannelRequest, channel: Channel, used: set[str]
-) -> list[str]:
-    """Return a channel as a table of TOML, and add its columns to the used ones.
-
-    Where it is not known which columns it is, or in which unit, the reason stands in a
-    comment.
-    """
-    spec = request.mapping.channels.get(channel.name)
-    head = f"[{channel.name}]  # {channel.meaning}"
-    if spec is not None and spec.columns == LEFT_OUT:
-        return [head, f"columns = {json.dumps(LEFT_OUT)}"]
-
-    try:
-        names = request.find(table, channel)
-        spec = spec or ColumnSpec(columns=tuple(names) or "unknown")
-        units = {unit_of_column(table, channel, name, spec)[0] for name in names}
-    except (ColumnError, UnitError) as error:
-        if request.mapping.channels.get(channel.name):
-            raise
-
-        return [comment_line(f"{head}: {error}")]
-    if not names:
-        return [comment_line(f"{head}: not found")]
-
-    used |= set(names)
-    lines = [head, f"columns = {json.dumps(names[0] if len(names) == 1 else names)}"]
-    if len(units) == 1:  # else they are those of the names
-        listed = ", ".join(channel.units)
-        lines.append(f"unit = {json.dumps(units.pop())}  # of {listed}")
-
-    return [*lines, f"scale = {json.dumps(spec.scale)}  # -1.0 turns the sign"]

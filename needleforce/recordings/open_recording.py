@@ -1,24 +1,45 @@
 """Opening a recording, whatever its format: as a table or a log."""
 
+import re
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
+from os.path import commonprefix
 from pathlib import Path
+
+import numpy as np
 
 from needleforce.recordings.bag_file import BAG_SUFFIXES, bag_head, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
+from needleforce.recordings.columnar import (
+    ARROW_SUFFIXES,
+    CONTAINER_SUFFIXES,
+    read_arrow,
+    read_container,
+    read_npz,
+)
 from needleforce.recordings.errors import (
+    KNOWN_SUFFIX,
     MAX_BYTES,
     FileAccessError,
+    FormatError,
     file_errors,
     readable_path,
 )
-from needleforce.recordings.joint_names import order_joints
-from needleforce.recordings.log import Log, log_of_table
+from needleforce.recordings.log import Log, log_of_table, read_times, time_unit
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
 from needleforce.recordings.text_file import CSV_SUFFIXES, read_text
+from needleforce.recordings.time_stamps import to_nanoseconds
+
+SUFFIXES = (
+    *CSV_SUFFIXES,
+    ".npz",
+    *ARROW_SUFFIXES,
+    *CONTAINER_SUFFIXES,
+    *BAG_SUFFIXES,
+)
+"""Of the files that are read."""
 
 
 def read_table(
@@ -31,8 +52,9 @@ def read_table(
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
-            `.asc` or `.lvm`; in `.npz`, `.parquet` or `.feather`; a ROS bag: a file
-            ending in `.mcap`, `.db3` or `.bag`, or a folder of them; or `-` for CSV on
+            `.asc` or `.lvm`; in `.npz`, `.parquet`, `.feather`, `.h5`, `.hdf5`, `.mat`
+            or `.tdms`; a ROS bag: a file ending in `.mcap`, `.db3` or `.bag`, or a
+            folder of them; a folder with one file for each signal; or `-` for CSV on
             standard input.
         request: what is read of a bag, and in which order joints are; all without.
         max_bytes: the most memory that the content of the file may take.
@@ -42,43 +64,102 @@ def read_table(
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
     """
     request = request or ChannelRequest()
+    if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
+        return read_bag(Path(path), lambda head: _select(head, request), max_bytes)
+
+    if str(path) != STANDARD_STREAM and Path(path).is_dir():
+        table = _read_folder(Path(path), request, max_bytes)
+    else:
+        table = _read_file(path, request, max_bytes)
+    if not table.columns:
+        raise FormatError(f"{path} holds no column of numbers{table.left_out()}")
+
+    return request.in_joint_order(table)
+
+
+def _select(head: Table, request: ChannelRequest) -> Table:
+    """Return the columns of a bag that are needed, joints in the order asked for."""
+    is_whole = request == ChannelRequest()
+    needed = head.columns.keys() if is_whole else request.columns(head) or ()
+    columns = {name: head.columns[name] for name in head.columns if name in needed}
+    return request.in_joint_order(replace(head, columns=columns))
+
+
+def _read_file(path: str | Path, request: ChannelRequest, max_bytes: int) -> Table:
+    """Return the table of a file that is no bag; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
     if str(path) == STANDARD_STREAM:
         data = sys.stdin.buffer.read(max_bytes + 1)
-        return _in_order(read_text(data, "stdin", knowledge, max_bytes), request)
+        return read_text(data, "stdin", knowledge, max_bytes)
 
-    path = readable_path(path)
+    path = Path(path)
     name = path.name.lower()
     with file_errors(path):
-        if is_bag(path):
-            return read_bag(path, request, max_bytes)
         if path.is_fifo() or name.endswith(CSV_SUFFIXES):
             with path.open("rb") as stream:
                 data = stream.read(max_bytes + 1)
 
-            return _in_order(read_text(data, str(path), knowledge, max_bytes), request)
+            return read_text(data, str(path), knowledge, max_bytes)
         if name.endswith(".npz"):
             return read_npz(path, max_bytes)
         if name.endswith(ARROW_SUFFIXES):
             return read_arrow(path, max_bytes)
+        if name.endswith(CONTAINER_SUFFIXES):
+            return read_container(path, max_bytes)
 
-    suffixes = [path.suffix.lower(), *(each.suffix for each in _content(path))]
-    for suffix in suffixes:
-        if conversion := knowledge.conversions.get(suffix):
-            raise FileAccessError(
-                f"{path} is not read as it is", f"To read it, {conversion}."
-            )
+    if conversion := knowledge.conversions.get(path.suffix.lower()):
+        raise FileAccessError(
+            f"{path} is not read as it is", f"To read it, {conversion}."
+        )
 
-    known = ", ".join((*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES))
     raise FileAccessError(
-        f"{path} has no known suffix; known are: {known}",
-        "Give one file: write signals of several files as columns of one table.",
+        f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}", KNOWN_SUFFIX
     )
 
 
-def _content(path: Path) -> list[Path]:
-    """Return what a folder holds; nothing for a file."""
-    return sorted(path.iterdir()) if path.is_dir() else []
+def _read_folder(folder: Path, request: ChannelRequest, max_bytes: int) -> Table:
+    """Return the signals of the files in a folder, each with the clock of its file.
+
+    Columns are called after their file, without what all files' names begin with. The
+    columns of a file without a header are one signal, the first of them the time.
+
+    Raises:
+        RecordingError: A file cannot be read, or has no time stamps.
+    """
+    paths = [p for p in sorted(folder.iterdir()) if p.name.lower().endswith(SUFFIXES)]
+    stems = [path.name.partition(".")[0] for path in paths]
+    # Characters are meant, not parts of a path.
+    start = commonprefix(stems)  # noqa: RUF071
+    start = re.sub(r"[^\W_]*$", "", start) if len(paths) > 1 else ""
+    whole = Table(columns={})
+    for path, stem in zip(paths, stems, strict=True):
+        name = stem.removeprefix(start)
+        table = _read_file(path, request, max_bytes)
+        columns = dict(table.columns)
+        if "column_1" in columns:
+            first, *others = columns.values()
+            columns = {"t_s": first, name: np.column_stack(others)}
+            table = replace(table, columns=columns, warnings=())
+
+        time = time_unit(table, request)
+        t_s, start_ns = read_times(table, request.channels["time"], time)
+        is_row = np.isfinite(t_s)
+        signals = {
+            column if column == name else f"{name}/{column}": values[is_row]
+            for column, values in columns.items()
+            if column not in time.columns
+        }
+        units = {f"{name}/{column}": unit for column, unit in table.units.items()}
+        whole = replace(
+            whole,
+            columns={**whole.columns, **signals},
+            units={**whole.units, **units},
+            clocks={**whole.clocks, **dict.fromkeys(signals, name)},
+            stamps_ns={**whole.stamps_ns, name: to_nanoseconds(t_s[is_row], start_ns)},
+            warnings=(*whole.warnings, *(f"{name}: {each}" for each in table.warnings)),
+        )
+
+    return whole
 
 
 def columns_of(path: str | Path, mapping: ColumnMapping) -> Table:
@@ -87,22 +168,6 @@ def columns_of(path: str | Path, mapping: ColumnMapping) -> Table:
         return bag_head(Path(path))
 
     return read_table(path, ChannelRequest(mapping))
-
-
-def _in_order(table: Table, request: ChannelRequest) -> Table:
-    """Return a table whose columns of joints are in the order that is asked for."""
-    columns = dict(table.columns)
-    joint_names = dict(table.joint_names)
-    notes = list(table.warnings)
-    for name, joints in table.joint_names.items():
-        order, noted = order_joints(name, joints, request.mapping, request.joints)
-        columns[name] = columns[name][:, [joints.index(joint) for joint in order]]
-        joint_names[name] = order
-        notes += noted
-
-    return replace(
-        table, columns=columns, joint_names=joint_names, warnings=tuple(notes)
-    )
 
 
 def read_log(

@@ -30,13 +30,10 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
     with suppress(ValueError):  # of lists of different lengths
         arrays = {name: np.asarray(values) for name, values in columns.items()}
 
+    are_named = [name.strip() and not name.startswith("#") for name in arrays]
+    are_numbers = [a.dtype.kind in "fiub" and a.ndim in (1, 2) for a in arrays.values()]
     row_counts = {values.shape[:1] for values in arrays.values()}
-    for name, values in arrays.items():
-        are_numbers = values.dtype.kind in "fiub" and values.ndim in (1, 2)
-        if not are_numbers or not name.strip() or name.startswith("#"):
-            row_counts = set()
-
-    if len(row_counts) != 1:
+    if len(row_counts) != 1 or not all([*are_named, *are_numbers]):
         shapes = {name: f"{a.dtype}{list(a.shape)}" for name, a in arrays.items()}
         raise LogError(
             f"expected columns with names and numbers of shape (n,) or (n, k), all of "

@@ -4,13 +4,12 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import prod
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from needleforce.recordings.errors import FormatError, LogError
+from needleforce.recordings.errors import LogError
 
 TableColumns = Mapping[str, np.ndarray]
 """Columns by name, shape (n,) or (n, k)."""
@@ -49,9 +48,8 @@ LinkPoses = Callable[[np.ndarray], LinkTransforms]
 class Table:
     """Named columns as read from a file, in the file's own units.
 
-    Columns may differ in length (an npz file may hold several recordings); a `Log` may
-    not. They are read-only copies as float64; those of whole numbers that float64 would
-    round, as nanoseconds since 1970 are, as int64.
+    Columns may differ in length: an npz file may hold several recordings, and topics
+    of a bag have clocks of their own.
 
     Attributes:
         columns: By name, shape (n,) or (n, k).
@@ -61,8 +59,10 @@ class Table:
             unless stamps are too large for seconds in float64 to resolve nanoseconds.
         seconds: Names of the columns of time stamps; they are in seconds, whatever unit
             the name says.
-        known: Columns that are channels by the type of their messages, by channel.
         units: By name of a column: what a row of units says of it.
+        clocks: By name of a column: what stamped its rows, a topic or a file; none
+            where one column holds the time stamps of all.
+        stamps_ns: By clock: the time stamp of each row, shape (n,).
     """
 
     columns: TableColumns
@@ -70,33 +70,9 @@ class Table:
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
     seconds: frozenset[str] = frozenset()
-    known: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Copy and freeze the columns.
-
-        Raises:
-            FormatError: There is no column, or one of another shape.
-            LogError: A column holds no numbers.
-        """
-        if not self.columns:
-            raise FormatError("no column of numbers: a table needs at least one")
-
-        columns = {
-            name: read_only(name, values, is_exact=True)
-            for name, values in self.columns.items()
-        }
-        for name, values in columns.items():
-            if values.ndim not in (1, 2):
-                shape = f"has shape {values.shape}; expected (n,) or (n, k)"
-                raise FormatError(f"column {name!r} {shape}")
-
-        object.__setattr__(self, "columns", MappingProxyType(columns))
-
-    def __len__(self) -> int:
-        """Return the number of rows of the longest column."""
-        return max(map(len, self.columns.values()))
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def values(self, name: str) -> np.ndarray:
         """Return a column, or an element of one such as `wrench[2]`."""
@@ -148,34 +124,6 @@ class TableLabels:
     prefix: str = "/needleforce"
     robot_description: str = ""
     link_poses: LinkPoses | None = None
-
-
-def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
-    """Return a contiguous read-only copy as float64, or what nobody can change.
-
-    Args:
-        name: Of the values, for the message.
-        values: Numbers, any shape.
-        is_exact: Whether whole numbers that float64 would round stay such, as int64.
-
-    Raises:
-        LogError: They are no numbers.
-    """
-    try:
-        array = np.asarray(values)
-        is_owned = array.base is None and not array.flags.writeable
-        if is_owned and array.dtype == np.float64 and array.flags.c_contiguous:
-            return array
-
-        # float64 holds every whole number up to the first, int64 none from the second.
-        is_whole = array.dtype.kind in "iu" and array.ndim == 1 and is_exact
-        is_large = is_whole and ((array > 1 << 53) & (array < 1 << 63)).any()
-        copy = np.array(array, dtype=np.int64 if is_large else np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise LogError(f"{name} is not an array of numbers: {error}") from error
-
-    copy.setflags(write=False)
-    return copy
 
 
 def flat_columns(columns: TableColumns) -> dict[str, np.ndarray]:

@@ -6,24 +6,18 @@ import gzip
 import io
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from itertools import product
+from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
+from needleforce.recordings.columnar import table_of_frame
 from needleforce.recordings.errors import FormatError, require_size
 from needleforce.recordings.table import START_KEY, Table
-from needleforce.recordings.time_stamps import (
-    NS_PER_S,
-    first_valid_stamp,
-    start_of_clock,
-    to_seconds,
-)
 
 CSV_SUFFIXES = (
     ".csv",
@@ -46,15 +40,17 @@ _NUMBER = re.compile(
 
 
 class _Start(NamedTuple):
-    """Where the table of a text begins.
+    """Where a table in a text begins.
 
     Attributes:
+        number_count: How many of its first cells are numbers.
         delimiter: Between cells.
         header: Place of the line with the names; -1 without one.
         first_row: Place of the first row.
         width: Cells of a row.
     """
 
+    number_count: int
     delimiter: str
     header: int
     first_row: int
@@ -71,7 +67,7 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
         max_bytes: The most memory that the text may take.
 
     Raises:
-        FormatError: There is no table in it.
+        FormatError: There is no table in it, or a quotation does not end.
     """
     data = _in_utf8(data, name, max_bytes)
     head = data[: 1 << 20].decode("utf-8", "replace")
@@ -84,64 +80,27 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
             f"with as many cells; it begins with {head[:60]!r}"
         )
 
-    start, _ = max(tables, key=lambda table: table[1])
-    names, units, notes = _names_and_units(texts, start, knowledge)
-    first_row = lines[start.first_row][0]
+    start = max(tables, key=lambda table: table.number_count)
+    names = [f"column_{number + 1}" for number in range(start.width)]
+    units: dict[str, str] = {}
+    notes = [f"there is no header; columns are called column_1 to {names[-1]}"]
+    if start.header >= 0:
+        names, units, notes = _names_and_units(texts, start, knowledge)
+
     few_rows = "".join(texts[start.first_row :][:50])
-    decimal = "," if start.delimiter != "," and re.search(r"\d,\d", few_rows) else "."
-    if decimal == ",":
+    decimal = "."
+    if start.delimiter != "," and re.search(r"\d,\d", few_rows):
+        decimal = ","
         notes.append("decimal commas read as points")
 
-    frame = _read_rows(data, name, start.delimiter, first_row, names, decimal, notes)
-    columns, seconds, start_ns, texts = _read_columns(frame, notes)
-    groups = find_joint_groups(columns, texts)
-    for each, cell in texts.items():
-        advice = ": write its numbers as columns" if cell.startswith("[") else ""
-        if not groups or "name" not in each:
-            notes.append(
-                f"column {each!r} holds text ({cell[:40]!r}) and was left out{advice}"
-            )
-
-    if not columns:
-        raise FormatError(f"{name}: no column holds a number: {'; '.join(notes)[:500]}")
-
-    for group, members in groups.items():
-        values = np.stack([columns.pop(each) for each in members.values()], axis=1)
-        columns[group] = values
-
-    own_start = re.search(rf"^#\s*{START_KEY}\s*=\s*(-?\d+)\s*$", head, re.M)
-    return Table(
-        columns=columns,
-        joint_names={group: tuple(members) for group, members in groups.items()},
-        start_ns=int(own_start[1]) if own_start else start_ns,
-        seconds=frozenset(seconds),
-        warnings=tuple(notes),
-        units=units,
-    )
-
-
-def _read_rows(
-    data: bytes,
-    name: str,
-    delimiter: str,
-    first_row: int,
-    columns: Sequence[str],
-    decimal: str,
-    notes: list[str],
-) -> pd.DataFrame:
-    """Return rows of cells by column; those of too many cells are left out and noted.
-
-    Raises:
-        FormatError: A quotation does not end.
-    """
     try:
         with warnings.catch_warnings(record=True, action="always") as caught:
             frame = pd.read_csv(
                 io.BytesIO(data),
-                sep=delimiter,
-                skiprows=first_row,
+                sep=start.delimiter,
+                skiprows=lines[start.first_row][0],
                 header=None,
-                names=list(columns),
+                names=names,
                 index_col=False,  # a delimiter may end each row
                 comment="#",
                 decimal=decimal,
@@ -153,9 +112,16 @@ def _read_rows(
 
     faults = "".join(str(each.message) for each in caught)
     if count := faults.count("Skipping line"):
-        notes.append(f"rows with more than {len(columns)} cells, left out: {count}")
+        notes.append(f"rows with more than {len(names)} cells, left out: {count}")
 
-    return frame
+    table = table_of_frame(frame)
+    own_start = re.search(rf"^#\s*{START_KEY}\s*=\s*(-?\d+)\s*$", head, re.M)
+    return replace(
+        table,
+        start_ns=int(own_start[1]) if own_start else table.start_ns,
+        warnings=(*notes, *table.warnings),
+        units=units,
+    )
 
 
 def _in_utf8(data: bytes, name: str, max_bytes: int) -> bytes:
@@ -206,40 +172,35 @@ def _cells(line: str, delimiter: str) -> list[str]:
         # In a header a unit belongs to the name before it.
         return re.sub(r"(?<=[^\s)\]])\s+(?=[(\[][^\s()\[\]]+[)\]])", "", line).split()
 
+    line = line.rstrip(f"{delimiter} ")
     (row,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True)
-    cells = [cell.strip() for cell in row]
-    while cells and not cells[-1]:
-        cells.pop()
-
-    return cells
+    return [cell.strip() for cell in row]
 
 
-def _tables_in(lines: Sequence[str], delimiter: str) -> list[tuple[_Start, int]]:
-    """Return where tables begin, each with the number of its cells that are numbers."""
-    tables: list[tuple[_Start, int]] = []
+def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
+    """Return where tables begin: below a line with as many cells, or with numbers."""
+    rows = [_cells(line, delimiter) for line in lines]
+    counts = [sum(map(bool, map(_NUMBER.fullmatch, cells))) for cells in rows]
+    tables: list[_Start] = []
     above: list[int] = []  # places of lines without numbers
-    for place, line in enumerate(lines):
-        cells = _cells(line, delimiter)
-        numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
-        if not numbers:
+    for place, (cells, count) in enumerate(zip(rows, counts, strict=True)):
+        if not count:
             above = [*above[-2:], place]
             continue
 
-        widths = {each: len(_cells(lines[each], delimiter)) for each in above}
-        header = next((each for each in above if widths[each] >= len(cells)), -1)
-        is_bare = not tables and numbers > 1 and 2 * numbers >= len(cells)
+        header = next((each for each in above if len(rows[each]) >= len(cells)), -1)
+        is_bare = not tables and count > 1 and 2 * count >= len(cells)
         if header >= 0 or is_bare:
-            names = _cells(lines[max(header, 0)], delimiter)
+            names = rows[header] if header >= 0 else []
             # LabVIEW leaves the cells below it away.
-            has_comment = names[-1].lower() == "comment"
-            name_count = len(names) - has_comment if header >= 0 else 0
-            width = max(len(cells), name_count)
-            tables.append((_Start(delimiter, header, place, width), 0))
+            has_comment = bool(names) and names[-1].lower() == "comment"
+            width = max(len(cells), len(names) - has_comment)
+            tables.append(_Start(0, delimiter, header, place, width))
 
         above = []
-        if tables and len(cells) <= tables[-1][0].width:
-            start, count = tables[-1]
-            tables[-1] = (start, count + numbers)
+        if tables and len(cells) <= tables[-1].width:
+            number_count = tables[-1].number_count + count
+            tables[-1] = tables[-1]._replace(number_count=number_count)
 
     return tables
 
@@ -248,15 +209,11 @@ def _names_and_units(
     lines: Sequence[str], start: _Start, knowledge: Knowledge
 ) -> tuple[list[str], dict[str, str], list[str]]:
     """Return unique names of the columns, the units of a row below, and what is odd."""
-    if start.header < 0:
-        names = [f"column_{number + 1}" for number in range(start.width)]
-        note = f"there is no header; columns are called column_1 to {names[-1]}"
-        return names, {}, [note]
-
-    head = lines[start.header : start.first_row]
-    texts = [_cells(line, start.delimiter) for line in head]
+    texts = [
+        _cells(line, start.delimiter) for line in lines[start.header : start.first_row]
+    ]
     header = max(texts, key=lambda cells: _count_names(cells, knowledge))
-    names = []
+    names: list[str] = []
     notes: list[str] = []
     for number, cell in enumerate([*header, *[""] * start.width][: start.width], 1):
         if cell in names:
@@ -300,88 +257,3 @@ def _is_row_of_units(cells: Iterable[str], knowledge: Knowledge) -> bool:
     }
     known = {cell for cell, text in bare.items() if knowledge.is_unit(text.strip())}
     return bool(known) and all(cell in known or cell != bare[cell] for cell in bare)
-
-
-def _read_columns(
-    frame: pd.DataFrame, notes: list[str]
-) -> tuple[dict[str, np.ndarray], list[str], int, dict[str, str]]:
-    """Return columns of numbers, those of times, their start, and texts; add notes."""
-    columns: dict[str, np.ndarray] = {}
-    seconds: list[str] = []
-    texts: dict[str, str] = {}
-    start_ns = 0
-    for name in map(str, frame):
-        column = frame[name]
-        numbers = pd.to_numeric(column, errors="coerce")
-        filled = column.notna()
-        if not filled.any():
-            notes.append(f"column {name!r} is empty and was left out")
-        elif numbers.notna().any():
-            columns[name] = numbers.to_numpy()
-            if odd := int((filled & numbers.isna()).sum()):
-                notes.append(f"column {name!r}: cells that are not numbers: {odd}")
-        elif (stamps_ns := _clock_ns(column[filled])) is not None:
-            start_ns = start_ns or start_of_clock(first_valid_stamp(stamps_ns))
-            values = np.full(len(column), np.nan)
-            values[filled.to_numpy()] = to_seconds(stamps_ns, start_ns)
-            columns[name] = values
-            seconds.append(name)
-        else:
-            texts[name] = str(column[filled].iloc[0]).strip()
-
-    return columns, seconds, start_ns, texts
-
-
-def _clock_ns(cells: pd.Series) -> np.ndarray | None:
-    """Return dates with times, or times that go on over midnight, in ns; or None."""
-    try:
-        if re.match(r"\s*\d+:\d+:\d", str(cells.iloc[0])):
-            day_ns = 86_400 * NS_PER_S
-            clock_ns = pd.to_timedelta(cells).to_numpy("m8[ns]").astype(np.int64)
-            steps_ns = np.diff(clock_ns, prepend=clock_ns[:1])
-            days = np.cumsum(np.round(-steps_ns / day_ns)).astype(np.int64)
-            return clock_ns + days * day_ns
-
-        dates = pd.to_datetime(cells, utc=True, format="ISO8601")
-        return dates.dt.tz_localize(None).to_numpy("M8[ns]").astype(np.int64)
-    except (ValueError, OverflowError):
-        return None
-
-
-def find_joint_groups(
-    names: Iterable[str], texts: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
-    """Find the joints that text exported from ROS topics names.
-
-    `field.name0` holds the name of `field.position0`, or `name` the list of the names
-    of `position_0`, `position_1`, ...; these columns become one of two dimensions.
-
-    Args:
-        names: Of all columns of numbers.
-        texts: Of each column of text, what its first row holds.
-
-    Returns:
-        By name of the column that they become: the columns by joint.
-    """
-    joints: dict[str, dict[str, str]] = {}  # by number, by what is before `name`
-    for name, text in texts.items():
-        if match := re.fullmatch(r"((?:.*[./])?)name_?\[?(\d{0,3})\]?", name):
-            listed = re.findall(r"['\"]([^'\"]+)['\"]", text)
-            numbered = {str(number): each for number, each in enumerate(listed)}
-            if match[2]:
-                numbered = {match[2]: text}
-
-            joints.setdefault(match[1], {}).update(numbered)
-
-    groups: dict[str, dict[str, str]] = {}
-    for (head, joint_of), field in product(
-        joints.items(), ("position", "velocity", "effort")
-    ):
-        expression = re.compile(rf"{re.escape(head + field)}_?\[?(\d{{1,3}})\]?")
-        matches = filter(None, map(expression.fullmatch, names))
-        column_of = {match[1]: match[0] for match in matches}
-        if joint_of and column_of.keys() == joint_of.keys():
-            members = {joint: column_of[number] for number, joint in joint_of.items()}
-            groups[head.replace(".", "/") + field] = members
-
-    return groups

@@ -5,7 +5,8 @@ seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are cou
 from the first stamp instead, see `start_of_clock`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.ndimage import median_filter
 
 from foundation.arrays import Array
 from needleforce.recordings.errors import LogError
+from needleforce.recordings.table import Table
 
 NS_PER_S = 1_000_000_000
 
@@ -57,27 +59,98 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     return counted + np.int64(start_ns)
 
 
+def with_own_clocks(
+    table: Table, found: Mapping[str, Sequence[str]], t_s: Array
+) -> Table:
+    """Return a table whose channels have clocks, where rows hold one or the other.
+
+    Rows may have a stamp and either a force or a pose. Then a row without a value is no
+    sample of a channel, rather than one that is missing.
+
+    Args:
+        table: With one time stamp a row.
+        found: Columns by channel.
+        t_s: Time stamps of the rows, shape (n,).
+
+    Returns:
+        The table itself unless two channels share less than half of their samples.
+    """
+    samples = {
+        name: np.isfinite(
+            np.column_stack([t_s, *map(table.values, columns)]).min(axis=1)
+        )
+        for name, columns in found.items()
+    }
+    shared = np.logical_and.reduce([*samples.values()])
+    fewest = min(map(np.count_nonzero, samples.values()))
+    if 2 * np.count_nonzero(shared) >= fewest:
+        return table
+
+    columns = {
+        name: (channel, table.values(name)[samples[channel]])
+        for channel, names in found.items()
+        for name in names
+    }
+    return replace(
+        table,
+        columns={name: values for name, (_, values) in columns.items()},
+        clocks={name: channel for name, (channel, _) in columns.items()},
+        stamps_ns={
+            channel: to_nanoseconds(t_s[rows], table.start_ns)
+            for channel, rows in samples.items()
+        },
+    )
+
+
+def aligned(table: Table, reference: str) -> Table:
+    """Return a table whose columns all have a value at the stamps of one clock.
+
+    Those of other clocks are interpolated, not across gaps of more than 0.1 s and five
+    of their periods.
+
+    Args:
+        table: Whose columns have clocks.
+        reference: The clock.
+    """
+    at_ns = table.stamps_ns[reference]
+    columns: dict[str, np.ndarray] = {}
+    notes: dict[str, None] = {}
+    for name, values in table.columns.items():
+        clock = table.clocks[name]
+        known_ns = table.stamps_ns[clock]
+        columns[name] = values
+        if clock != reference:
+            columns[name] = interpolate(at_ns, known_ns, values)
+            if abs(len(known_ns) - len(at_ns)) > 1:
+                notes[f"{clock} was interpolated to the stamps of {reference}"] = None
+
+    start_ns = start_of_clock(first_valid_stamp(at_ns))
+    return replace(
+        table,
+        columns={"t_s": to_seconds(at_ns, start_ns), **columns},
+        start_ns=start_ns,
+        seconds=frozenset({"t_s"}),
+        clocks={},
+        warnings=(*table.warnings, *notes),
+    )
+
+
 def interpolate(
-    at_ns: NDArray[np.int64],
-    stamps_ns: NDArray[np.int64],
-    columns: Mapping[str, Array],
-) -> dict[str, Array]:
-    """Interpolate columns linearly; where stamps agree, they stay as they are.
+    at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: Array
+) -> Array:
+    """Interpolate values linearly; where stamps agree, they stay as they are.
 
     Args:
         at_ns: Stamps at which values are asked for, shape (n,).
         stamps_ns: Stamps at which they are known, shape (m,), in any order.
-        columns: The known values, shape (m, k) each.
+        values: The known values, shape (m,) or (m, k).
 
     Returns:
-        Values, shape (n, k) each; NaN outside the known stamps and in gaps of more than
-        0.1 s and five periods.
+        Values, shape (n,) or (n, k); NaN outside the known stamps and in gaps of more
+        than 0.1 s and five periods.
     """
     if not stamps_ns.size:
-        return {
-            name: np.full((at_ns.size, v.shape[1]), np.nan)
-            for name, v in columns.items()
-        }
+        return np.full((at_ns.size, *values.shape[1:]), np.nan)
 
     order = np.argsort(stamps_ns, kind="stable")
     known_ns = stamps_ns[order]
@@ -88,15 +161,11 @@ def interpolate(
     is_gap &= known_ns[below] != at_ns
     # float64 holds differences of stamps, not stamps.
     elapsed_ns = np.where(is_gap, -1, at_ns - known_ns[0])
-    interpolated: dict[str, Array] = {}
-    for name, values in columns.items():
-        rows = [
-            np.interp(elapsed_ns, known_ns - known_ns[0], column, np.nan, np.nan)
-            for column in values[order].T
-        ]
-        interpolated[name] = np.stack(rows, axis=1)
-
-    return interpolated
+    rows = [
+        np.interp(elapsed_ns, known_ns - known_ns[0], column, np.nan, np.nan)
+        for column in np.atleast_2d(values[order].T)
+    ]
+    return np.stack(rows, axis=1).reshape(len(at_ns), *values.shape[1:])
 
 
 def rows_in_order(
@@ -120,19 +189,41 @@ def rows_in_order(
         LogError: Fewer than two stamps advance, the clock was set back, or samples
             share stamps or came in bursts, so that stamps do not tell their times.
     """
+    rows = np.flatnonzero(np.isfinite(t_s))
     notes: list[str] = []
-    rows = _rows_with_stamps(t_s, sorted_within_s, notes)
-    if sorted_within_s > 0.0:
-        rows = _sort_rows(t_s, rows, sorted_within_s, notes)
+    if len(rows) < len(t_s):
+        first = int(np.argmin(np.isfinite(t_s)))
+        count = len(t_s) - len(rows)
+        notes.append(
+            f"time: rows without a stamp, left out: {count} (first: row {first + 1})"
+        )
+
+    is_bad = _is_contradicted(t_s[rows], sorted_within_s)
+    if is_bad.any():
+        first = rows[np.argmax(is_bad)]
+        notes.append(
+            f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
+            f"(first: row {first + 1}, {t_s[first]:.13g} s)"
+        )
+
+    rows = rows[~is_bad]
+    lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
+    if sorted_within_s > 0.0 and lateness_s.any():
+        if lateness_s.max() > sorted_within_s:
+            row = rows[np.argmax(lateness_s > sorted_within_s)]
+            raise LogError(
+                f"time: the clock was set back at row {row + 1}, by up to "
+                f"{lateness_s.max():.6g} s",
+                "Cut the file there and read its parts, or give the sample rate "
+                "(`rate_hz`, --rate) if no time is missing.",
+            )
+
+        notes.append(f"time: rows out of order, sorted: {np.count_nonzero(lateness_s)}")
+        rows = rows[np.argsort(t_s[rows], kind="stable")]
 
     stamps_s = t_s[rows]
     latest_s = np.maximum.accumulate(stamps_s)
-    is_new = np.diff(stamps_s) > 0.0
-    is_changed = values[rows[1:]] != values[rows[:-1]]
-    is_sample = is_changed.any(axis=tuple(range(1, is_changed.ndim)))
-    if np.count_nonzero(~is_new & is_sample) > len(rows) / 3:
-        _refuse_groups(stamps_s, np.flatnonzero(is_new) + 1, "samples share stamps")
-
+    _refuse_shared_stamps(stamps_s, values[rows])
     keep = np.append(True, stamps_s[1:] > latest_s[:-1])[: len(rows)]
     if not keep.all():
         count = np.count_nonzero(~keep)
@@ -151,54 +242,18 @@ def rows_in_order(
     return rows, t_s[rows], notes
 
 
-def _rows_with_stamps(
-    t_s: Array, sorted_within_s: float, notes: list[str]
-) -> NDArray[np.intp]:
-    """Return indices of the rows whose stamp those around do not contradict.
+def _refuse_shared_stamps(stamps_s: Array, values: Array) -> None:
+    """Raise `LogError` if samples share stamps; values that repeat are no samples.
 
-    What is left out is added to the notes.
+    Args:
+        stamps_s: Shape (m,).
+        values: A channel, shape (m,) or (m, k).
     """
-    rows = np.flatnonzero(np.isfinite(t_s))
-    if missing := len(t_s) - len(rows):
-        first = int(np.argmin(np.isfinite(t_s)))
-        notes.append(
-            f"time: rows without a stamp, left out: {missing} (first: row {first + 1})"
-        )
-
-    step_s = float(np.median(np.diff(t_s[rows[:200]]))) if len(rows) > 8 else 0.0
-    if step_s <= 0.0:
-        return rows
-
-    around_s = median_filter(t_s[rows], 9, mode="nearest")
-    is_bad = np.abs(t_s[rows] - around_s) > max(sorted_within_s, 20.0 * step_s)
-    if is_bad.any():
-        first = rows[np.argmax(is_bad)]
-        notes.append(
-            f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
-            f"(first: row {first + 1}, {t_s[first]:.13g} s)"
-        )
-
-    return rows[~is_bad]
-
-
-def _sort_rows(
-    t_s: Array, rows: NDArray[np.intp], sorted_within_s: float, notes: list[str]
-) -> NDArray[np.intp]:
-    """Return indices of rows by their stamps; `LogError` for a clock set back."""
-    lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
-    latest_s = lateness_s.max(initial=0.0)
-    if latest_s > sorted_within_s:
-        row = rows[np.argmax(lateness_s > sorted_within_s)]
-        raise LogError(
-            f"time: the clock was set back at row {row + 1}, by up to {latest_s:.6g} s",
-            "Cut the file there and read its parts, or give the sample rate "
-            "(`rate_hz`, --rate) if no time is missing.",
-        )
-    if latest_s > 0.0:
-        late_count = np.count_nonzero(lateness_s)
-        notes.append(f"time: rows out of order, sorted: {late_count}")
-
-    return rows[np.argsort(t_s[rows], kind="stable")]
+    is_new = np.diff(stamps_s) > 0.0
+    is_changed = values[1:] != values[:-1]
+    is_sample = is_changed.any(axis=tuple(range(1, values.ndim)))
+    if np.count_nonzero(~is_new & is_sample) > len(stamps_s) / 3:
+        _refuse_groups(stamps_s, np.flatnonzero(is_new) + 1, "samples share stamps")
 
 
 def _refuse_bursts(stamps_s: Array) -> None:
@@ -209,6 +264,16 @@ def _refuse_bursts(stamps_s: Array) -> None:
     is_mostly_paused = steps_s[is_pause].sum() > 0.5 * steps_s.sum()
     if len(starts) >= 10 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
         _refuse_groups(stamps_s, starts, "stamps come in bursts")
+
+
+def _is_contradicted(t_s: Array, sorted_within_s: float) -> NDArray[np.bool_]:
+    """Return which finite stamps, shape (n,), those around contradict."""
+    step_s = float(np.median(np.diff(t_s[:200]))) if len(t_s) > 8 else 0.0
+    if step_s <= 0.0:
+        return np.zeros(len(t_s), dtype=np.bool_)
+
+    around_s = median_filter(t_s, 9, mode="nearest")
+    return np.abs(t_s - around_s) > max(sorted_within_s, 20.0 * step_s)
 
 
 def _refuse_groups(stamps_s: Array, starts: NDArray[np.intp], fault: str) -> NoReturn:

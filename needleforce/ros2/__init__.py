@@ -4,7 +4,7 @@ rclpy and the messages are those of the user's ROS; files that import them say s
 their top, and only commands of ROS import these files.
 
 Reading order: `joint_samples` (messages to samples), `reports` (estimates to named
-values), `parameters`, `node`; `arm` and `velocity_controller` for the other commands.
+values), `parameters`, `node`; `arm` for the other commands.
 """
 
 from needleforce.ros2.errors import (

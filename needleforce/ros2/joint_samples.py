@@ -20,14 +20,14 @@ class JointSample(NamedTuple):
         dt_s: Time since the sample before [s]; 0 of the first.
         q_rad: Positions, shape (n,).
         dq_rad_s: Velocities, shape (n,); None where the arm sends none.
-        effort_Nm: Torques, shape (n,); None where they come on another topic.
+        effort_Nm: Torques, shape (n,).
     """
 
     stamp_ns: int
     dt_s: float
     q_rad: Array
     dq_rad_s: Array | None
-    effort_Nm: Array | None
+    effort_Nm: Array
 
 
 class JointReader:
@@ -40,7 +40,6 @@ class JointReader:
     Args:
         joints: Names of the arm's joints, in its order.
         pattern: That the names must fit; empty for any.
-        needs_effort: Whether a sample has the torques of its message.
 
     Attributes:
         counts: What became of the messages: `used`, `other_joints`, `malformed` (fewer
@@ -49,12 +48,9 @@ class JointReader:
         longest_gap_s: Longest time between the stamps of two samples [s].
     """
 
-    def __init__(
-        self, joints: tuple[str, ...], pattern: str = "", *, needs_effort: bool = True
-    ) -> None:
+    def __init__(self, joints: tuple[str, ...], pattern: str = "") -> None:
         self._joints = joints
         self._pattern = pattern or "*"
-        self._needs_effort = needs_effort
         self._orders: dict[tuple[str, ...], list[int]] = {}
         self._has_velocity: bool | None = None
         self._latest_ns: int | None = None
@@ -68,9 +64,22 @@ class JointReader:
         if not order:
             self.counts["other_joints"] += 1
             return None
-        if not self._is_complete(message):
+        width = len(message.name)
+        if len(message.effort) != width:
+            self.counts["without_effort"] += 1
+            self.problem = (
+                f"joint states have {len(message.effort)} efforts of {width} joints; "
+                "expected the measured torques, or an external_torque_topic"
+            )
             return None
-        stamp_ns = stamp_of(message)
+        if self._has_velocity is None:
+            self._has_velocity = len(message.velocity) == width
+        has_lost_velocity = self._has_velocity and len(message.velocity) != width
+        if len(message.position) != width or has_lost_velocity:
+            self.counts["malformed"] += 1
+            return None
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         dt_s = self._step_clock(stamp_ns)
         if dt_s is None:
             return None
@@ -81,18 +90,8 @@ class JointReader:
             dt_s=dt_s,
             q_rad=np.array(message.position)[order],
             dq_rad_s=np.array(message.velocity)[order] if self._has_velocity else None,
-            effort_Nm=np.array(message.effort)[order] if self._needs_effort else None,
+            effort_Nm=np.array(message.effort)[order],
         )
-
-    def read_efforts(self, message: Any) -> Array | None:
-        """Return the torques of a message, shape (n,); None if they are not the arm's.
-
-        Its stamp and its other signals do not matter.
-        """
-        order = self._find_order(tuple(message.name))
-        if not order or len(message.effort) != len(message.name):
-            return None
-        return np.array(message.effort)[order]
 
     def _find_order(self, names: tuple[str, ...]) -> list[int]:
         """Return where the arm's joints stand among names; nothing if they do not."""
@@ -106,47 +105,30 @@ class JointReader:
         order: list[int] = []
         if len(matches) == 1:
             order = [names.index(name) for name in matches[0].names]
-        elif matches and not self.counts["used"]:
-            patterns = " or ".join(match.pattern for match in matches)
-            self.problem = f"expected joint_pattern to be one of {patterns}"
         elif not self.counts["used"]:
             listed = ", ".join(names[:12]) or "no joint"
-            expected = ", ".join(self._joints)
-            self.problem = f"a joint state names {listed}; expected all of {expected}"
+            expected = f"all of {', '.join(self._joints)}"
+            if matches:
+                patterns = " or ".join(match.pattern for match in matches)
+                expected = f"joint_pattern to be one of {patterns}"
+            self.problem = f"a joint state names {listed}; expected {expected}"
         self._orders[names] = order
         return order
-
-    def _is_complete(self, message: Any) -> bool:
-        """Return whether a message of the arm has all signals; count it if not."""
-        width = len(message.name)
-        if self._needs_effort and len(message.effort) != width:
-            self.counts["without_effort"] += 1
-            self.problem = (
-                f"joint states have {len(message.effort)} efforts of {width} joints; "
-                "expected the measured torques, or an external_torque_topic"
-            )
-            return False
-        if self._has_velocity is None:
-            self._has_velocity = len(message.velocity) == width
-        signals = [message.position]
-        if self._has_velocity:
-            signals.append(message.velocity)
-        is_whole = all(len(signal) == width for signal in signals)
-        self.counts["malformed"] += not is_whole
-        return is_whole
 
     def _step_clock(self, stamp_ns: int) -> float | None:
         """Return the time since the sample before; None if the stamp is not newer.
 
         Of a clock that was set back it is negative: the session reports it.
         """
-        latest_ns = stamp_ns if self._latest_ns is None else self._latest_ns
-        dt_s = (stamp_ns - latest_ns) / NS_PER_S
+        if self._latest_ns is None:
+            self._latest_ns = stamp_ns
+            return 0.0
+        dt_s = (stamp_ns - self._latest_ns) / NS_PER_S
         # A stamp that is older than its predecessor by more than this is of a clock
         # that was set back, as when a simulation starts anew; up to this it is of a
         # late message.
         max_lateness_s = 1.0
-        if self._latest_ns is not None and -max_lateness_s <= dt_s <= 0.0:
+        if -max_lateness_s <= dt_s <= 0.0:
             self.counts["stale"] += 1
             if self.counts["used"] == 1:
                 self.problem = "stamps of joint states do not advance"
@@ -154,9 +136,3 @@ class JointReader:
         self._latest_ns = stamp_ns
         self.longest_gap_s = max(self.longest_gap_s, dt_s)
         return dt_s
-
-
-def stamp_of(message: Any) -> int:
-    """Return the time stamp of a message's header [ns]."""
-    stamp = message.header.stamp
-    return stamp.sec * NS_PER_S + stamp.nanosec

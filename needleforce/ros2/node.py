@@ -8,10 +8,9 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TransformStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -25,16 +24,11 @@ from std_srvs.srv import Trigger
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from needleforce.insertion_events import session_events
-from needleforce.ros2.errors import (
-    MissingDescriptionError,
-    Ros2ParameterError,
-    require_ros,
-)
-from needleforce.ros2.joint_samples import NS_PER_S, JointReader, JointSample
+from needleforce.ros2.errors import MissingDescriptionError, require_ros
+from needleforce.ros2.joint_samples import NS_PER_S, JointReader
 from needleforce.ros2.parameters import declare_parameters
 from needleforce.ros2.reports import (
     ERROR,
-    EVENT_NUMBERS,
     OK,
     WARNING,
     NamedReport,
@@ -42,7 +36,6 @@ from needleforce.ros2.reports import (
     layer_reports,
     plan_reports,
 )
-from needleforce.ros2.tip_frame import place_tip
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.tare_run import TareRun
 from residual import SensorConfig, Status
@@ -58,8 +51,6 @@ NOT_TARED = "not tared: move in free air, then call ~/tare"
 
 MakeRobot = Callable[[Callable[[], str]], Robot]
 """Makes the arm; called with what waits for its description, and returns that."""
-
-Prepare = Callable[[InsertionSession], None]
 
 
 def _kept(depth: int) -> QoSProfile:
@@ -85,7 +76,9 @@ class NeedleNode(LifecycleNode):
         Ros2ParameterError: A parameter is unknown or cannot be.
     """
 
-    def __init__(self, make_robot: MakeRobot, prepare: Prepare) -> None:
+    def __init__(
+        self, make_robot: MakeRobot, prepare: Callable[[InsertionSession], None]
+    ) -> None:
         super().__init__(
             "needleforce", automatically_declare_parameters_from_overrides=True
         )
@@ -107,8 +100,7 @@ class NeedleNode(LifecycleNode):
         """Find out what the arm is; make topics, services and the session."""
         self._own = self._list_entities()
         try:
-            robot = self._make_robot(self._wait_for_description)
-            self._open(robot)
+            self._open(self._make_robot(self._wait_for_description))
         except NeedleforceError as error:
             self.failure = error
             self.get_logger().error(str(error))
@@ -171,14 +163,6 @@ class NeedleNode(LifecycleNode):
 
     def _open(self, robot: Robot) -> None:
         """Make session, topics and services of an arm."""
-        lbr_topic = self.value("lbr_state_topic")
-        lbr_joints = 7
-        if lbr_topic and robot.nv != lbr_joints:
-            raise Ros2ParameterError(
-                f"lbr_state_topic is {lbr_topic}, of an arm with {lbr_joints} joints, "
-                f"and the robot's description has {robot.nv}; expected the "
-                "description of the LBR, with other joints locked (--lock-others)"
-            )
         config = SensorConfig(
             gain_per_s=self.value("gain_per_s"),
             axes="tool",
@@ -189,14 +173,11 @@ class NeedleNode(LifecycleNode):
         # to publish it
         self._session = InsertionSession(robot, config)
         self._prepare(self._session)
+        torque_topic = self.value("external_torque_topic")
         self._update = self._session.update
-        if lbr_topic or self.value("external_torque_topic"):
+        if torque_topic:
             self._update = self._session.update_external_torque
-        self._reader = JointReader(
-            robot.joint_names,
-            "" if lbr_topic else self.value("joint_pattern"),
-            needs_effort=not self.value("external_torque_topic"),
-        )
+        self._reader = JointReader(robot.joint_names, self.value("joint_pattern"))
         self._hardware = robot.model.name
         self._frame = self.value("frame_id") or robot.tool_frame
         self._tare = TareRun()
@@ -207,28 +188,19 @@ class NeedleNode(LifecycleNode):
         self._heard_s = time.monotonic()
         self._is_silent = False
         self._advertise()
-        if self.value("broadcast_tip"):
-            self._broadcast_tip(robot)
-        self._subscribe(robot, lbr_topic)
+        self._subscribe(torque_topic)
 
     def _advertise(self) -> None:
         """Make the outputs, the services and the timers."""
         # Messages that wait for a slow subscriber: a second at 1 kHz.
         output_depth = 1000
-        # Events that a subscriber gets who comes later.
-        events = _kept(100)
         publisher = self.create_publisher
         self._wrench = publisher(WrenchStamped, "~/wrench", output_depth)
         self._tip = publisher(WrenchStamped, "~/tip_force", output_depth)
         self._depth = publisher(Float64, "~/depth_m", output_depth)
-        self._events = publisher(DiagnosticArray, "~/events", events)
+        self._events = publisher(DiagnosticArray, "~/events", _kept(100))
         self._layers = publisher(DiagnosticArray, "~/layers", _kept(1))
         self._diagnostics = publisher(DiagnosticArray, "/diagnostics", 10)
-        self._numbers = {
-            (kind, name): publisher(Float64, f"~/{kind}/{name}", events)
-            for kind, names in EVENT_NUMBERS.items()
-            for name in names
-        }
         # In a group of its own: samples must be processed while it waits for its end.
         own_group = ReentrantCallbackGroup()
         self.create_service(
@@ -238,39 +210,15 @@ class NeedleNode(LifecycleNode):
         self.create_timer(REPORT_PERIOD_S, self._publish_reports)
         self.create_timer(SILENCE_STEP_S, self._watch_silence)
 
-    def _broadcast_tip(self, robot: Robot) -> None:
-        """Publish where the tip is, unless the arm's description has it as a link."""
-        tip = place_tip(robot, self._frame)
-        if tip is None:
-            return
-        try:
-            transforms = import_module("tf2_msgs.msg").TFMessage
-        except ImportError:
-            self.get_logger().warning(
-                f"the frame {self._frame} is not broadcast: tf2_msgs is not installed"
-            )
-            return
-        message = TransformStamped(child_frame_id=self._frame)
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = tip.parent
-        _fill_vector(message.transform.translation, tip.placement.translation)
-        rotation = pin.Quaternion(tip.placement.rotation)
-        _fill_vector(message.transform.rotation, rotation.vec())
-        message.transform.rotation.w = float(rotation.w)
-        publisher = self.create_publisher(transforms, "/tf_static", _kept(1))
-        publisher.publish(transforms(transforms=[message]))
-
-    def _subscribe(self, robot: Robot, lbr_topic: str) -> None:
+    def _subscribe(self, torque_topic: str) -> None:
         """Subscribe to joint states, with external torques if they are used."""
-        quality = QoSProfile(
-            depth=self.value("queue_depth"),
-            reliability=ReliabilityPolicy[self.value("reliability").upper()],
-        )
-        torque_topic = self.value("external_torque_topic")
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        if self.value("reliable"):
+            reliability = ReliabilityPolicy.RELIABLE
+        quality = QoSProfile(depth=self.value("queue_depth"), reliability=reliability)
         if torque_topic:
             require_ros("message_filters")
             filters = import_module("message_filters")
-            self._torques = JointReader(robot.joint_names)
             states = filters.Subscriber(
                 self, JointState, "joint_states", qos_profile=quality
             )
@@ -280,11 +228,6 @@ class NeedleNode(LifecycleNode):
             pending = 200  # states that wait for a torque of their stamp
             pairs = filters.TimeSynchronizer([states, torques], pending)
             pairs.registerCallback(self._take_with_torque)
-        elif lbr_topic:
-            require_ros("lbr_fri_idl.msg")
-            kind = import_module("lbr_fri_idl.msg").LBRState
-            self._joint_names = list(robot.joint_names)
-            self.create_subscription(kind, lbr_topic, self._take_lbr_state, quality)
         else:
             self._subscription = self.create_subscription(
                 JointState, "joint_states", self._take_joint_states, quality
@@ -306,56 +249,29 @@ class NeedleNode(LifecycleNode):
                 return
             self._take_joint_state(taken[0])
 
-    def _take_joint_state(self, message: Any) -> None:
-        """Process a joint state."""
-        sample = self._read(message)
-        if sample is not None:
-            self._process(sample, sample.effort_Nm, sample.stamp_ns)
-
     def _take_with_torque(self, message: Any, torque: Any) -> None:
-        """Process a joint state with the external torque of its stamp."""
-        torque_Nm = self._torques.read_efforts(torque)
-        sample = None if torque_Nm is None else self._read(message)
-        if sample is not None:
-            self._process(sample, torque_Nm, sample.stamp_ns)
+        """Process a joint state with the external torques of its stamp."""
+        torques_Nm = dict(zip(torque.name, torque.effort, strict=False))
+        message.effort = [torques_Nm.get(name, np.nan) for name in message.name]
+        self._take_joint_state(message)
 
-    def _take_lbr_state(self, message: Any) -> None:
-        """Process a state of an LBR, which has external torques and no velocities.
-
-        It names no joints: they are in the order of KUKA's interface, A1 to A7. Its
-        stamp is of the controller's clock, which TF does not know.
-        """
-        state = JointState(name=self._joint_names)
-        state.header.stamp.sec = message.time_stamp_sec
-        state.header.stamp.nanosec = message.time_stamp_nano_sec
-        state.position = message.measured_joint_position
-        state.effort = message.external_torque
-        sample = self._read(state)
-        if sample is not None:
-            self._process(sample, sample.effort_Nm, self._now_ns())
-
-    def _read(self, message: Any) -> JointSample | None:
-        """Return the arm's sample of a message, if it has one."""
+    def _take_joint_state(self, message: Any) -> None:
+        """Update the session with a joint state, and publish its estimate."""
         sample = self._reader.read(message)
-        if sample is not None:
-            if self._is_silent:
-                self._is_silent = False
-                text = f"joint states again after {self._silent_s:.1f} s"
-                self.get_logger().warning(text)
-            self._heard_s = time.monotonic()
-        return sample
-
-    def _process(
-        self, sample: JointSample, torque_Nm: Array | None, stamp_ns: int
-    ) -> None:
-        """Update the session with a sample, and publish its estimate."""
-        if torque_Nm is None or not self._is_active:
+        if sample is None:
             return
-        estimate = self._update(sample.q_rad, sample.dq_rad_s, torque_Nm, sample.dt_s)
+        self._is_silent = False
+        self._heard_s = time.monotonic()
+        if not self._is_active:
+            return
+        estimate = self._update(
+            sample.q_rad, sample.dq_rad_s, sample.effort_Nm, sample.dt_s
+        )
         self._estimate = estimate
-        self._stamp_ns = stamp_ns
+        self._stamp_ns = sample.stamp_ns
         self._publish_forces(estimate)
-        self._delay_max_ns = max(self._delay_max_ns, self._now_ns() - stamp_ns)
+        delay_ns = self._now_ns() - sample.stamp_ns
+        self._delay_max_ns = max(self._delay_max_ns, delay_ns)
         self._publish_events(estimate)
         if self._tare.after(self._session, estimate):
             self._end_tare()
@@ -385,18 +301,11 @@ class NeedleNode(LifecycleNode):
         return message
 
     def _publish_events(self, estimate: SessionEstimate) -> None:
-        """Publish what happened with this sample, and the layers with it."""
-        has_layer_events = estimate.identification.has_events
-        if not (has_layer_events or estimate.plan_events):
-            return
+        """Publish what happened with this sample."""
         for event in session_events(estimate):
             values = {name: format_value(v) for name, v in event.values.items()}
             level = WARNING if event in estimate.plan_events else OK
             self._publish_event(NamedReport(event.kind, level, event.text, values))
-            for name, value in event.values.items():
-                self._numbers[event.kind, name].publish(Float64(data=float(value)))
-        if has_layer_events:
-            self._publish_layers()
 
     def _publish_event(self, report: NamedReport) -> None:
         """Publish an event, and its sentence as a log message."""
@@ -404,11 +313,6 @@ class NeedleNode(LifecycleNode):
         logger = self.get_logger()
         log = logger.info if report.level == OK else logger.warning
         log(report.message)
-
-    def _publish_layers(self) -> None:
-        """Publish the layers traversed so far."""
-        reports = layer_reports(self._session.layers)
-        self._publish_named(self._layers, reports, self._stamp_ns)
 
     def _publish_named(
         self, publisher: Any, reports: Sequence[NamedReport], stamp_ns: int
@@ -455,7 +359,8 @@ class NeedleNode(LifecycleNode):
         health = NamedReport(name, level, message, self._list_values())
         reports = [health, *plan_reports(name, self._estimate)]
         self._publish_named(self._diagnostics, reports, self._now_ns())
-        self._publish_layers()
+        layers = layer_reports(self._session.layers)
+        self._publish_named(self._layers, layers, self._stamp_ns)
 
     def _judge(self) -> tuple[int, str]:
         """Return what keeps the node from estimating, or makes estimates worse."""
@@ -563,7 +468,7 @@ def _fill_vector(vector: Any, values: Array) -> None:
 def run_node(
     arguments: Sequence[str],
     make_robot: MakeRobot,
-    prepare: Prepare = lambda session: None,
+    prepare: Callable[[InsertionSession], None] = lambda session: None,
 ) -> None:
     """Run the node until Ctrl-C, SIGTERM or its transition `shutdown`.
 

@@ -9,9 +9,6 @@ from rclpy.exceptions import ParameterException
 
 from needleforce.ros2.errors import Ros2ParameterError
 
-RELIABILITIES = ("best_effort", "reliable")
-"""How joint states may be subscribed to."""
-
 PARAMETERS: dict[str, tuple[bool | int | float | str, ParameterDescriptor]] = {
     "external_torque_topic": (
         "",
@@ -19,14 +16,6 @@ PARAMETERS: dict[str, tuple[bool | int | float | str, ParameterDescriptor]] = {
             description="Topic of JointState whose effort is the arm's own estimate of "
             "the external torque [Nm], with the stamps of joint_states; empty to use "
             "the measured torque in the effort of joint_states."
-        ),
-    ),
-    "lbr_state_topic": (
-        "",
-        ParameterDescriptor(
-            description="Topic of lbr_fri_idl/LBRState whose positions and "
-            "external_torque are used in place of joint_states; empty to use "
-            "joint_states."
         ),
     ),
     "joint_pattern": (
@@ -41,13 +30,6 @@ PARAMETERS: dict[str, tuple[bool | int | float | str, ParameterDescriptor]] = {
         ParameterDescriptor(
             description="Frame named in wrenches, at the needle's tip with z along the "
             "needle; empty for the tool frame of the robot's description."
-        ),
-    ),
-    "broadcast_tip": (
-        True,
-        ParameterDescriptor(
-            description="Whether the frame named in wrenches is broadcast on "
-            "/tf_static, where the robot's description has no link of its name."
         ),
     ),
     "gain_per_s": (
@@ -71,13 +53,11 @@ PARAMETERS: dict[str, tuple[bool | int | float | str, ParameterDescriptor]] = {
             integer_range=[IntegerRange(from_value=1, to_value=100_000, step=1)],
         ),
     ),
-    "reliability": (
-        "best_effort",
+    "reliable": (
+        False,
         ParameterDescriptor(
-            description="How joint_states is subscribed to: best_effort hears every "
-            "publisher; reliable asks again for what is lost, and hears reliable "
-            "publishers only.",
-            additional_constraints=" or ".join(RELIABILITIES),
+            description="Whether joint states that are lost are asked for again; then "
+            "only reliable publishers are heard."
         ),
     ),
     "autostart": (
@@ -132,14 +112,3 @@ def declare_parameters(node: Any) -> None:
             node.declare_parameter(name, default, descriptor)
         except ParameterException as error:
             raise Ros2ParameterError(f"{name}: {error}") from error
-    reliability = node.get_parameter("reliability").value
-    if reliability not in RELIABILITIES:
-        raise Ros2ParameterError(
-            f"reliability is {reliability}; expected {' or '.join(RELIABILITIES)}"
-        )
-    sources = ("external_torque_topic", "lbr_state_topic")
-    if all(node.get_parameter(name).value for name in sources):
-        raise Ros2ParameterError(
-            f"{' and '.join(sources)} both name a source of external torques; expected "
-            "one of them"
-        )

@@ -40,32 +40,6 @@ def format_value(value: float | str) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-EVENT_NUMBERS = {
-    "rupture": (
-        "layer",
-        "depth_m",
-        "force_N",
-        "speed_m_s",
-        "probability",
-        "alarm_delay_s",
-    ),
-    "rupture_retracted": ("layer", "depth_m"),
-    "hard_contact": ("depth_m", "force_N", "growth_N_per_m"),
-    "layer": (
-        "layer",
-        "is_final",
-        "start_depth_m",
-        "thickness_m",
-        "force_drop_N",
-        "stiffness_N_per_m",
-        "friction_N",
-    ),
-    "past_target": ("to_target_m", "to_target_std_m"),
-    "too_near": ("distance_m", "needed_m", "std_m"),
-}
-"""Values of each kind of event, which have topics that exist before the event does."""
-
-
 def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
     """Return a report of each layer traversed; values without an estimate are left out.
 

@@ -9,49 +9,32 @@ from foundation.arrays import Array
 from needleforce.depth_zero import find_depth_zero
 from needleforce.scene.moment import Moment
 
-CURVES = (
-    ("axial force", "#0072b2", "-", 1),
-    ("tip force", "#d55e00", "--", 3),
-    ("enhanced force", "#000000", ":", 5),
-)
-"""Name, colour, dashes, and column of `force_table` of each curve; behind the first two
-stands the column of their standard deviation."""
+CURVES = (("axial force", "#0072b2"), ("tip force", "#d55e00"))
+"""Name and colour of each curve; it has a band of two standard deviations."""
 
 AXES = ("depth [mm]", "time [s]")
 """Labels of the x axes of the two plots."""
 
 
 def force_table(moments: Sequence[Moment]) -> Array:
-    """Return time, axial force and deviation, tip and deviation, enhanced force, depth.
+    """Return time, depth, axial force and deviation, tip force and deviation.
 
-    Only of moments that are tared and valid, and of at most a thousand: shape (n, 7).
+    Only of moments that are tared and valid, and of at most a thousand: shape (n, 6).
     """
     max_rows = 1000
     rows = [
         (
             estimate.time_s,
+            find_depth_zero(estimate).shown_mm(estimate.depth_m),
             estimate.wrench.axial,
             estimate.wrench.axial_std,
             estimate.identification.tip_force_N,
             estimate.identification.tip_force_std_N or 0.0,
-            estimate.identification.enhanced_force_N,
-            find_depth_zero(estimate).shown_mm(estimate.depth_m),
         )
         for _, estimate in moments[:: len(moments) // max_rows + 1]
         if estimate.status.value == "ok"
     ]
-    return np.array(rows).reshape(-1, 7)
-
-
-def places_of(table: Array) -> dict[str, tuple[Array, Array]]:
-    """Return the places of each plot with the rows that it shows.
-
-    Over depth those deeper than all before: there no curve runs back.
-    """
-    depth_mm = table[:, 6]
-    is_deepest = depth_mm >= np.maximum.accumulate(depth_mm)
-    deepest = table[is_deepest]
-    return {AXES[0]: (deepest[:, 6], deepest), AXES[1]: (table[:, 0], table)}
+    return np.array(rows).reshape(-1, 6)
 
 
 class ForcePlots:
@@ -73,18 +56,14 @@ class ForcePlots:
         for label in AXES:
             series = [uplot.Series(label=label)]
             bands: list[Any] = []
-            for name, color, _, column in CURVES:
+            for name, color in CURVES:
                 series.append(
                     uplot.Series(label=f"{name} [N]", stroke=color, width=2.0)
                 )
-                if column < CURVES[-1][3]:
-                    bands.append(
-                        uplot.Band(
-                            series=(len(series), len(series) + 1), fill=f"{color}2e"
-                        )
-                    )
-                    edge = uplot.Series(label="± 2 std", stroke=color, width=0.3)
-                    series += [edge, edge]
+                edges = (len(series), len(series) + 1)
+                bands.append(uplot.Band(series=edges, fill=f"{color}2e"))
+                edge = uplot.Series(label="± 2 std", stroke=color, width=0.3)
+                series += [edge, edge]
             self.charts[label] = gui.add_uplot(
                 (empty,) * len(series),
                 tuple(series),
@@ -96,14 +75,24 @@ class ForcePlots:
             )
 
     def draw(self, moments: Sequence[Moment]) -> None:
-        """Draw the forces of moments; a plot without any keeps what it shows."""
-        for label, (places, rows) in places_of(force_table(moments)).items():
-            curves: list[Array] = []
-            for _, _, _, column in CURVES:
-                force_N = rows[:, column]
-                curves.append(force_N)
-                if column < CURVES[-1][3]:
-                    band_N = 2.0 * rows[:, column + 1]
-                    curves += [force_N + band_N, force_N - band_N]
-            if len(places):
-                self.charts[label].data = (places, *curves)
+        """Draw the forces of moments; a plot without any keeps what it shows.
+
+        Over depth those deeper than all before: there no curve runs back.
+        """
+        table = force_table(moments)
+        if not len(table):
+            return
+        depth_mm = table[:, 1]
+        is_deepest = depth_mm >= np.maximum.accumulate(depth_mm)
+        shown = {AXES[0]: table[is_deepest], AXES[1]: table}
+        for label, rows in shown.items():
+            times_s, depths_mm, axial_N, axial_std_N, tip_N, tip_std_N = rows.T
+            self.charts[label].data = (
+                depths_mm if label == AXES[0] else times_s,
+                axial_N,
+                axial_N + 2.0 * axial_std_N,
+                axial_N - 2.0 * axial_std_N,
+                tip_N,
+                tip_N + 2.0 * tip_std_N,
+                tip_N - 2.0 * tip_std_N,
+            )

@@ -125,7 +125,7 @@ class ArmNodes:
         urdf_path: Its description, for its shapes.
 
     Attributes:
-        unread_meshes: Meshes that cannot be read; it is shown without.
+        unread_shapes: Why its shapes cannot be read; it is shown as a line then.
     """
 
     def __init__(self, server: Any, robot: Robot, urdf_path: Path | None) -> None:
@@ -133,16 +133,22 @@ class ArmNodes:
         self._data = robot.create_data()
         self._server = server
         self._shapes: Any = None
-        self.unread_meshes: list[str] = []
+        self.unread_shapes = ""
         if urdf_path is not None:
+            import yourdfpy
             from viser.extras import ViserUrdf
 
-            description, self.unread_meshes = _load_shapes(urdf_path)
-            self._shapes = ViserUrdf(server, description)
-            names = self._shapes.get_actuated_joint_names()
-            # What the description moves and the robot lacks, it holds at zero.
-            self._shown_rad = np.zeros(len(names))
-            self._shown_joints = [names.index(name) for name in robot.joint_names]
+            find = partial(yourdfpy.filename_handler_magic, dir=urdf_path.parent)
+            try:
+                description = yourdfpy.URDF.load(urdf_path, filename_handler=find)
+            except Exception as error:  # whatever a reader of meshes raises
+                self.unread_shapes = str(error) or type(error).__name__
+            else:
+                self._shapes = ViserUrdf(server, description)
+                names = self._shapes.get_actuated_joint_names()
+                # What the description moves and the robot lacks, it holds at zero.
+                self._shown_rad = np.zeros(len(names))
+                self._shown_joints = [names.index(name) for name in robot.joint_names]
         self.needle = server.scene.add_cylinder(
             "/needle",
             radius=0.8e-3,  # metres
@@ -172,33 +178,6 @@ class ArmNodes:
         self.needle.position = needle.tip_m - 0.5 * NEEDLE_LENGTH_m * needle.axis
         self.needle.wxyz = quaternion_along(needle.axis)
         return needle
-
-
-def _load_shapes(urdf_path: Path) -> tuple[Any, list[str]]:
-    """Return the description of an arm for yourdfpy, and the meshes it cannot read."""
-    import trimesh
-    import yourdfpy
-
-    find = partial(yourdfpy.filename_handler_magic, dir=urdf_path.parent)
-    plain = yourdfpy.URDF.load(
-        urdf_path, build_scene_graph=False, load_meshes=False, filename_handler=find
-    )
-    unread: list[str] = []
-    for link in plain.robot.links:
-        for visual in list(link.visuals):
-            mesh = visual.geometry and visual.geometry.mesh
-            if mesh is None:
-                continue
-            path = find(fname=mesh.filename)
-            # yourdfpy leaves out what is not there.
-            if not Path(path).is_file():
-                continue
-            try:
-                trimesh.load(path, force="scene")
-            except Exception:  # whatever a reader of meshes raises
-                link.visuals.remove(visual)
-                unread.append(str(mesh.filename))
-    return yourdfpy.URDF(plain.robot, filename_handler=find), unread
 
 
 def rotation_along(axis: Array) -> Array:

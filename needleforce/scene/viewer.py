@@ -61,6 +61,10 @@ class Mark(NamedTuple):
     ring: nodes.Ring
     until_s: float = np.inf
 
+    def __str__(self) -> str:
+        """Return it in words, also whether it was retracted."""
+        return self.text if np.isinf(self.until_s) else f"{self.text}; retracted"
+
 
 def open_server(port: int, label: str) -> Any:
     """Open a viser server on loopback.
@@ -105,7 +109,7 @@ class Viewer:
         url: Where the page is.
         marks: The ruptures shown, past and to come.
         time: The time line.
-        unread_meshes: Meshes of the arm that cannot be read; it is shown without.
+        unread_shapes: Why the arm's shapes cannot be read; it is shown as a line then.
 
     Raises:
         SceneError: viser is not installed, there is no such port, or the plan has no
@@ -144,7 +148,7 @@ class Viewer:
         scene = server.scene
         self._structures = nodes.add_plan(server, self._plan)
         self._arm = nodes.ArmNodes(server, robot, urdf_path)
-        self.unread_meshes = self._arm.unread_meshes
+        self.unread_shapes = self._arm.unread_shapes
         nowhere_m = np.zeros((2, 3))
         line = nodes.add_line
         self._trail = line(server, "/trail", nowhere_m, nodes.FORCE_COLOR, 3.0)
@@ -437,20 +441,6 @@ class Viewer:
         for image, picture in zip(self._images, pictures, strict=True):
             image.image = picture
 
-    def find_deepest(self) -> Moment:
-        """Return the moment in which the needle was deepest since the tare.
-
-        At the end it may be back in the air; before the tare depth has another zero.
-
-        Raises:
-            SceneError: Nothing has come.
-        """
-        if not self.moments:
-            raise SceneError("nothing to export: no moment has come")
-        is_tared = [moment.estimate.status.value == "ok" for moment in self.moments]
-        since = is_tared.index(True) if any(is_tared) else 0
-        return max(self.moments[since:], key=lambda moment: moment.estimate.depth_m)
-
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
         """Write the scene as one page that needs nothing else, with a film.
 
@@ -461,12 +451,12 @@ class Viewer:
 
         Raises:
             SceneError: Nothing has come, or the file cannot be written.
-            MissingExtraError: matplotlib or jinja2 is not installed.
+            MissingExtraError: jinja2 is not installed.
         """
-        from needleforce.scene.export_page import write_insertion_page
+        from needleforce.scene.export_page import write_scene_page
 
-        deepest = self.find_deepest()
-        needle = self._arm.find_needle(deepest.q_rad)
+        if not self.moments:
+            raise SceneError("nothing to export: no moment has come")
         self._is_filmed = True
         self._show_banner("")
         serializer = self._server.get_scene_serializer()
@@ -480,18 +470,8 @@ class Viewer:
         scene = serializer.as_html()  # before the title bar is back
         self._is_filmed = False
         self._show_banner(find_banner(self.moments[-1].estimate))
-        pictures = ()
-        if self._path is not None and self._plan.scan is not None:
-            pictures = draw_slices(self._plan, self._path, needle)
-        return write_insertion_page(
-            Path(path),
-            scene,
-            self._plan,
-            self.moments,
-            self.marks,
-            card=card_html(deepest.estimate, needle, self._plan),
-            pictures=pictures,
-        )
+        ruptures = [f"{mark.time_s - start_s:.1f} s: {mark}" for mark in self.marks]
+        return write_scene_page(Path(path), scene, self._plan, ruptures)
 
     def stop(self) -> None:
         """Close the page."""

@@ -5,7 +5,7 @@ Only here do sessions and plans meet the ground truth. Needs the extra `demo`; a
 
 Reading order: `tables` (an insertion as columns of a recording), `torso_case` (CT and
 labels of an analytic torso), `patient` (a simulated arm over the patient of a plan),
-`scanned_torso` and `planned_insertion` (from a CT to a needle whose ruptures correct
+`planned_insertion` (from a CT to a needle whose ruptures correct
 the plan).
 """
 

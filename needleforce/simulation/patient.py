@@ -5,7 +5,7 @@ He is the same one for touching and inserting: what registers him in one serves 
 other.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
 from groundtruth import Run, Scenario, simulate
-from groundtruth.arm_motion import reach_pose, scenario_path
+from groundtruth.arm_motion import InsertionPath, reach_pose, scenario_path
 from groundtruth.errors import MotionError
 from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import ABDOMEN
@@ -33,6 +33,12 @@ BEYOND_m = 10e-3
 
 RATE_HZ = 100.0
 """Of the touching arm's samples."""
+
+MIN_LAYER_m = 4e-3
+"""Thinner layers join the one before: membranes need room."""
+
+TOUCHES = 40
+"""Of the skin."""
 
 SEED = 0
 """Of touches and their errors."""
@@ -54,7 +60,7 @@ class Pose(NamedTuple):
         return points_m @ self.rotation.T + self.translation_m
 
 
-class _PlannedLine(NamedTuple):
+class PlannedLine(NamedTuple):
     """The path of a plan.
 
     Attributes:
@@ -66,24 +72,30 @@ class _PlannedLine(NamedTuple):
     target_m: Array
 
     @property
-    def length_m(self) -> float:
-        """From entry to target."""
-        return float(np.linalg.norm(self.target_m - self.entry_m))
+    def axis(self) -> Array:
+        """Direction, of length one, (3,)."""
+        way_m = self.target_m - self.entry_m
+        return way_m / np.linalg.norm(way_m)
 
     def motion(self) -> Motion:
         """Return the motion of the needle along the path."""
+        length_m = float(np.linalg.norm(self.target_m - self.entry_m))
         return constant_motion(
-            speed_m_s=SPEED_m_s,
-            depth_m=self.length_m + BEYOND_m,
-            standoff_m=15e-3,
+            speed_m_s=SPEED_m_s, depth_m=length_m + BEYOND_m, standoff_m=15e-3
         )
 
 
-def insert_into_patient(plan: Mapping[str, Any]) -> Run:
+def insert_into_patient(
+    plan: Mapping[str, Any],
+    seed: int = SEED,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Run:
     """Simulate the insertion along the path of a plan, through its layers.
 
     Args:
         plan: Fields of a plan's file: ``entry_m``, ``target_m``, ``layers``.
+        seed: Of what the arm's sensors add.
+        progress: Takes the fraction of the work that is done.
 
     Raises:
         PlanError: It has no path, or no layers.
@@ -95,7 +107,7 @@ def insert_into_patient(plan: Mapping[str, Any]) -> Run:
         layers=_tissue(plan.get("layers") or ()),
         motion=line.motion(),
     )
-    return simulate(scenario, plant="clean", seed=SEED)
+    return simulate(scenario, "clean", seed, progress)
 
 
 class TouchingArm(NamedTuple):
@@ -126,65 +138,67 @@ def touch_patient(
     rng = np.random.default_rng(SEED)
     line = _line_of(plan)
     robot = load_lwr(payload=NeedleTool())
-    motion = line.motion()
-    path = scenario_path(
-        robot, Scenario(id="patient", title="", layers=(), motion=motion)
-    )
-    start = path.start
-    pose = _lay_patient(line, start, -motion.start_m)
-    skin_m = _draw_skin_points(labels, line, rng)
-    places_m = pose.to_robot(np.concatenate([landmarks_m.reshape(-1, 3), skin_m]))
+    path = arm_path(robot, line)
+    skin_m = draw_skin_points(labels, line, rng)
+    points_m = np.concatenate([landmarks_m.reshape(-1, 3), skin_m])
     error_m = 0.3e-3  # along each axis: skin gives way, landmarks are blunt
+    places_m = lay_patient(path, line).to_robot(points_m)
     places_m = places_m + error_m * rng.normal(size=places_m.shape)
     return TouchingArm(
-        _touching_arm(robot, path.posture_rad(0.0), start, places_m), robot
+        _touching_arm(robot, path.posture_rad(0.0), path.start, places_m), robot
     )
 
 
-def _line_of(plan: Mapping[str, Any]) -> _PlannedLine:
+def arm_path(robot: Robot, line: PlannedLine) -> InsertionPath:
+    """Return how the arm moves its needle along a planned path."""
+    scenario = Scenario(id="patient", title="", layers=(), motion=line.motion())
+    return scenario_path(robot, scenario)
+
+
+def _line_of(plan: Mapping[str, Any]) -> PlannedLine:
     """Return the path of a plan."""
     if "entry_m" not in plan or "target_m" not in plan:
         raise PlanError(
             "the plan has no entry_m and target_m: expected a plan that `needleforce "
             "plan` wrote"
         )
-    return _PlannedLine(np.array(plan["entry_m"]), np.array(plan["target_m"]))
+    return PlannedLine(np.array(plan["entry_m"]), np.array(plan["target_m"]))
 
 
-def _lay_patient(line: _PlannedLine, start: pin.SE3, standoff_m: float) -> Pose:
+def lay_patient(path: InsertionPath, line: PlannedLine, shift_m: float = 0.0) -> Pose:
     """Return the place of the patient: the needle meets the entry along the path.
 
     The head points away from the base, as far as it can.
 
     Args:
+        path: How the arm moves its needle.
         line: The planned path.
-        start: Of the needle's motion.
-        standoff_m: From there to the skin.
+        shift_m: By so much the tissue lies deeper along the needle than the CT says.
     """
-    axis = start.rotation[:, 2]
+    axis = path.start.rotation[:, 2]
     alignment = Rotation.align_vectors(
         [axis, [1.0, 0.0, 0.0]],
-        [(line.target_m - line.entry_m) / line.length_m, [0.0, 0.0, 1.0]],
+        [line.axis, [0.0, 0.0, 1.0]],
         weights=[np.inf, 1.0],
     )
     rotation = alignment[0].as_matrix()
-    entry_m = start.translation + standoff_m * axis
+    standoff_m = -line.motion().start_m - shift_m
+    entry_m = path.start.translation + standoff_m * axis
     return Pose(rotation, entry_m - rotation @ line.entry_m)
 
 
-def _draw_skin_points(
-    labels: Labels, line: _PlannedLine, rng: np.random.Generator
+def draw_skin_points(
+    labels: Labels, line: PlannedLine, rng: np.random.Generator
 ) -> Array:
     """Return points of the skin about the entry that the needle can touch, (n, 3)."""
     radius_m = 0.11  # of the skin that is touched, about the entry
     front_cosine = 0.35  # a flatter skin is not touched
     skin = labels.skin()
-    axis = (line.target_m - line.entry_m) / line.length_m
     normals = np.asarray(skin.mesh.vertex_normals)
     is_near = np.linalg.norm(skin.vertices_m - line.entry_m, axis=1) < radius_m
-    is_steep = normals @ -axis > front_cosine
+    is_steep = normals @ -line.axis > front_cosine
     points_m = skin.vertices_m[is_near & is_steep]
-    return points_m[rng.choice(len(points_m), 40)]
+    return points_m[rng.choice(len(points_m), TOUCHES)]
 
 
 def _touching_arm(
@@ -268,7 +282,6 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
 
     The last one is thicker, so that the needle can go beyond the target.
     """
-    min_layer_m = 4e-3  # thinner ones join the one before: membranes need room
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "lesion": liver, "fat": fat, UNLABELLED: fat}
     tissue: list[TissueLayer] = []
@@ -277,7 +290,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
         thickness_m = float(layer["exit_m"]) - depth_m
         depth_m = float(layer["exit_m"])
         kind = kinds.get(layer["name"], muscle)
-        if tissue and (thickness_m < min_layer_m or tissue[-1].name == layer["name"]):
+        if tissue and (thickness_m < MIN_LAYER_m or tissue[-1].name == layer["name"]):
             tissue[-1] = replace(
                 tissue[-1], thickness_m=tissue[-1].thickness_m + thickness_m
             )

@@ -9,63 +9,63 @@ deeper than the plan says; ruptures detected from joint torques, matched with th
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial import distance_matrix
 
-from foundation.arrays import Array
-from groundtruth import Run, Scenario, simulate
-from groundtruth.layers import Layer as TissueLayer
-from groundtruth.materials import ABDOMEN
-from groundtruth.motion import constant_motion
-from needleforce import anatomy
+from groundtruth import Run
 from needleforce.anatomy import (
     Labels,
-    Layer,
     PlanMatch,
     PlanState,
     Registration,
-    Structure,
+    Volume,
+    VolumeError,
+    fit_landmarks,
+    fit_surface,
+    read_labels,
+    read_volume,
 )
+from needleforce.anatomy.path_search import SkinPath, find_paths
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import Moment, is_kept
-from needleforce.session import InsertionSession, SessionEstimate
-from needleforce.simulation.patient import Pose
-from needleforce.simulation.scanned_torso import (
-    FRONT,
-    ScannedTorso,
-    StraightPath,
-    inside_body,
-    plan_path,
-    read_torso,
+from needleforce.session import InsertionSession
+from needleforce.simulation.patient import (
+    MIN_LAYER_m,
+    PlannedLine,
+    Pose,
+    arm_path,
+    draw_skin_points,
+    insert_into_patient,
+    lay_patient,
 )
-from urdf import Robot
+from needleforce.simulation.torso_case import write_torso_case
+from urdf import NeedleTool, Robot, load_lwr
 
-TOUCHES = 100
-"""Touches of the skin by which the torso is registered."""
-
-LANDMARKS = 5
+LANDMARKS = 7
 """Landmarks by which the torso is registered first."""
 
-SPEED_m_s = 4e-3
-"""Of the insertion."""
-
-BEYOND_m = 12e-3
-"""How far the needle could go beyond the target."""
+ORGAN = "liver"
+"""Structure in which the target lies where there is no lesion."""
 
 
-class Registrations(NamedTuple):
-    """What is known of where the patient lies.
+class ScannedTorso(NamedTuple):
+    """CT and labels of the demonstration.
 
     Attributes:
-        rough: By landmarks.
-        fine: By touches of the skin; the same as `rough` where they cannot register.
+        scan: The CT.
+        labels: The segmentation.
+        origin: Where they come from, in words.
+        target: Name of the structure in which the target lies.
     """
 
-    rough: Registration
-    fine: Registration
+    scan: Volume
+    labels: Labels
+    origin: str
+    target: str
 
 
 class RuptureOfPlan(NamedTuple):
@@ -80,50 +80,32 @@ class RuptureOfPlan(NamedTuple):
     plan: PlanState
 
 
-class FollowedInsertion(NamedTuple):
-    """A session over the signals of the insertion.
-
-    Attributes:
-        depth_m: Depth of the tip below the planned entry, shape (n,).
-        force_N: Force of the virtual sensor, shape (n,).
-        tip_N: Force at the tip, shape (n,).
-        ruptures: The ruptures, but for those that were retracted.
-        stop_m: Depth at which the corrected plan has the target.
-        moments: What the scene shows.
-        entry_in_base_m: Where the needle meets the planned entry, shape (3,).
-        axis: Direction of the needle there, in base axes, shape (3,).
-    """
-
-    depth_m: Array
-    force_N: Array
-    tip_N: Array
-    ruptures: list[RuptureOfPlan]
-    stop_m: float
-    moments: list[Moment]
-    entry_in_base_m: Array
-    axis: Array
-
-
 class PlannedInsertion(NamedTuple):
     """An insertion from CT to target.
 
     Attributes:
         torso: CT and labels.
         path: The planned path, with its layers.
-        registrations: What is known of where the patient lies.
-        placement: Where he lies.
+        rough: Registration by landmarks.
+        fine: Registration by touches of the skin.
+        placement: Where the patient lies.
         shift_m: By so much everything lies deeper along the needle than planned.
         robot: The simulated robot.
-        followed: The session over its signals.
+        ruptures: The ruptures, but for those that were retracted.
+        stop_m: Depth at which the corrected plan has the target.
+        moments: What the scene shows.
     """
 
     torso: ScannedTorso
-    path: StraightPath
-    registrations: Registrations
+    path: SkinPath
+    rough: Registration
+    fine: Registration
     placement: Pose
     shift_m: float
     robot: Robot
-    followed: FollowedInsertion
+    ruptures: list[RuptureOfPlan]
+    stop_m: float
+    moments: list[Moment]
 
     @property
     def errors_m(self) -> tuple[float, float]:
@@ -133,13 +115,14 @@ class PlannedInsertion(NamedTuple):
         in both.
         """
         target_m = self.path.target_m
-        axis = self.placement.rotation @ self.path.axis
-        error_m = self.registrations.fine.to_robot(target_m) - self.placement.to_robot(
-            target_m
+        way_m = self.placement.to_robot(target_m) - self.placement.to_robot(
+            self.path.entry_m
         )
+        axis = way_m / self.path.length_m
+        error_m = self.fine.to_robot(target_m) - self.placement.to_robot(target_m)
         across_m = float(np.linalg.norm(error_m - (error_m @ axis) * axis))
         true_depth_m = self.path.length_m + self.shift_m
-        along_m = np.array([self.path.length_m, self.followed.stop_m]) - true_depth_m
+        along_m = np.array([self.path.length_m, self.stop_m]) - true_depth_m
         by_plan_m, corrected_m = np.hypot(along_m, across_m).tolist()
         return by_plan_m, corrected_m
 
@@ -163,212 +146,158 @@ def insert(
     # How far organs lie from where the CT saw them, along the needle
     shift_std_m = 3e-3
     rng = np.random.default_rng(seed)
-    torso = read_torso(folder, rng)
-    path = plan_path(torso.labels, torso.target, rng)
-    placement = _draw_placement(rng)
-    registrations = register(torso.labels, path.entry_m, placement, rng)
-    axis = placement.rotation @ path.axis
-    fine = registrations.fine
-    target_in_base_m = placement.to_robot(path.target_m)
-    error_m = float((target_in_base_m - fine.to_robot(path.target_m)) @ axis)
-    shift_m = error_m + shift_std_m * float(rng.normal())
+    torso = read_torso(folder, seed)
+    labels = torso.labels
+    risks = [
+        item.name
+        for item in labels.structures
+        if (item.is_obstacle or item.is_risk) and item.name != torso.target
+    ]
+    target_m = labels.deepest_point_m(torso.target)
+    path = find_paths(labels, target_m, risks).paths[0]
     progress(0.2)
-    run = _simulate(path, seed, lambda fraction: progress(0.2 + 0.6 * fraction))
-    std_m = float(np.hypot(fine.std_along_m(axis, path.target_m), shift_std_m))
-    match = PlanMatch(path.layers, std_m)
-    followed = _follow_plan(run, match, shift_m, path.length_m)
+    line = PlannedLine(path.entry_m, path.target_m)
+    tissue_shift_m = shift_std_m * float(rng.normal())
+    robot = load_lwr(payload=NeedleTool())
+    placement = lay_patient(arm_path(robot, line), line, tissue_shift_m)
+    rough, fine = register(labels, line, placement, rng)
+    # A lesion has no capsule, as the liver has: it is simulated as other tissue.
+    kinds: dict[str, str] = {} if torso.target == ORGAN else {torso.target: "muscle"}
+    plan = {
+        "entry_m": path.entry_m,
+        "target_m": path.target_m,
+        "layers": [
+            {"name": kinds.get(one.name, one.name), "exit_m": one.exit_m}
+            for one in path.layers
+        ],
+    }
+    run = insert_into_patient(plan, seed, lambda done: progress(0.2 + 0.6 * done))
+    planned = PlannedPath.of_registration(fine, path.entry_m, path.target_m)
+    std_m = np.hypot(fine.std_along_m(planned.axis, path.target_m), shift_std_m)
+    error_m = placement.to_robot(path.target_m) - planned.target_m
+    session = InsertionSession(run.robot)
+    # Thinner ones join the layer before in the simulation.
+    layers = [one for one in path.layers if one.exit_m - one.entry_m >= MIN_LAYER_m]
+    session.follow(PlanMatch(layers, float(std_m)), path=planned)
+    moments: list[Moment] = []
+    ruptures = _insert_to_target(run, session, path.length_m, moments)
     return PlannedInsertion(
-        torso, path, registrations, placement, shift_m, run.robot, followed
+        torso=torso,
+        path=path,
+        rough=rough,
+        fine=fine,
+        placement=placement,
+        shift_m=tissue_shift_m + float(error_m @ planned.axis),
+        robot=robot,
+        ruptures=ruptures,
+        stop_m=moments[-1].estimate.depth_in_tissue_m or 0.0,
+        moments=moments,
     )
 
 
-def _draw_placement(rng: np.random.Generator) -> Pose:
-    """Return a patient who lies on the back in front of the robot, drawn at random."""
-    angle_deg = 90.0 + 5.0 * rng.normal()
-    rotation = Rotation.from_euler("x", angle_deg, degrees=True).as_matrix()
-    translation_m = np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)
-    return Pose(rotation, translation_m)
+def read_torso(folder: Path | None, seed: int) -> ScannedTorso:
+    """Return a CT with labels from a folder, or of an analytic torso.
+
+    Args:
+        folder: Holds them, or a folder that does; None for the analytic torso.
+        seed: Of the noise in the analytic torso's CT.
+
+    Raises:
+        VolumeError: The folder has no CT, or no labels beside it.
+    """
+    if folder is None:
+        with TemporaryDirectory() as made:
+            write_torso_case(Path(made), seed)
+            return read_torso(Path(made), seed)._replace(origin="analytic torso")
+    scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
+    beside = scans[0].parent if scans else folder
+    files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
+    if not files or not scans:
+        raise VolumeError(
+            f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, "
+            "there or one folder down"
+        )
+    names = beside / "labels.json"
+    scan = read_volume(scans[0])
+    labels = read_labels(files[0], names if names.exists() else None)
+    targets = [
+        item.name
+        for item in labels.structures
+        if any(word in item.name.lower() for word in ("lesion", "tumor", "tumour"))
+    ]
+    labels = labels.with_body(scan, fat=True).with_dense(scan)
+    origin = f"{scans[0].name} of {folder}"
+    return ScannedTorso(scan, labels, origin, next(iter(targets), ORGAN))
 
 
 def register(
-    labels: Labels, entry_m: Array, placement: Pose, rng: np.random.Generator
-) -> Registrations:
-    """Register by landmarks, then by touches of the skin with a pointer.
-
-    Touches lie around the entry. Where they cannot register (a torso that could spin),
-    the landmarks alone do.
+    labels: Labels, line: PlannedLine, placement: Pose, rng: np.random.Generator
+) -> tuple[Registration, Registration]:
+    """Register by landmarks far from each other, then by touches about the entry.
 
     Args:
         labels: The segmentation.
-        entry_m: Entry in the model, shape (3,).
+        line: The planned path.
         placement: Where the patient lies.
         rng: Draws landmarks, touches and their errors.
     """
-    body = [inside_body(labels).astype(np.uint8)]
-    structures = [Structure.named("skin", 1)]
-    skin = Labels.of(body, labels.grid, structures).surfaces()["skin"]
-    out_m = skin.vertices_m @ FRONT
-    # What lies behind cannot be reached by landmark or touch.
+    skin = labels.skin()
+    out_m = skin.vertices_m @ -line.axis
+    # What lies behind cannot be reached by a landmark.
     front_m = skin.vertices_m[out_m > np.quantile(out_m, 0.4)]
-    rough = _register_landmarks(front_m, placement, rng)
-    touched_m = placement.to_robot(_touch(front_m, entry_m, rng))
-    try:
-        return Registrations(rough, anatomy.fit_surface(skin, touched_m, rough))
-    except anatomy.RegistrationError:
-        return Registrations(rough, rough)
-
-
-def _register_landmarks(
-    front_m: Array, placement: Pose, rng: np.random.Generator
-) -> anatomy.Registration:
-    """Register by landmarks far from each other.
-
-    On a symmetric torso they may lie symmetrically, and be refused: then others are
-    touched, one more than before.
-
-    Args:
-        front_m: Points of the skin that can be touched, (n, 3).
-        placement: Where the patient lies.
-        rng: Draws landmarks and their errors.
-    """
-    most = LANDMARKS + 2
-    count = LANDMARKS
-    while True:
-        landmarks_m = front_m[_spread_indices(front_m, count, rng)]
-        noise_m = 1e-3 * rng.normal(size=landmarks_m.shape)
-        try:
-            return anatomy.fit_landmarks(
-                landmarks_m,
-                placement.to_robot(landmarks_m) + noise_m,
-                std_m=1.5e-3,  # more than they have: who knows his own errors
-                is_std_known=True,
-            )
-        except anatomy.RegistrationError:
-            count += 1
-            if count > most:
-                raise
-
-
-def _touch(front_m: Array, entry_m: Array, rng: np.random.Generator) -> Array:
-    """Return touched places around the entry, some of which slipped, shape (n, 3)."""
-    near_m = front_m[np.linalg.norm(front_m - entry_m, axis=1) < 0.25]
-    touched_m = near_m[rng.choice(len(near_m), TOUCHES)]
-    touched_m = touched_m + 0.5e-3 * rng.normal(size=(TOUCHES, 3))
-    has_slipped = rng.random(TOUCHES) < 0.1
-    slips_m = rng.uniform(5e-3, 20e-3, (int(has_slipped.sum()), 1))
-    touched_m[has_slipped] += slips_m * FRONT
-    return touched_m
-
-
-def _spread_indices(points_m: Array, count: int, rng: np.random.Generator) -> list[int]:
-    """Return indices of points far from each other."""
-    chosen = [int(rng.integers(len(points_m)))]
-    distances_m = np.full(len(points_m), np.inf)
-    for _ in range(count - 1):
-        to_latest_m = np.linalg.norm(points_m - points_m[chosen[-1]], axis=1)
-        distances_m = np.minimum(distances_m, to_latest_m)
+    chosen = [int(rng.integers(len(front_m)))]
+    for _ in range(LANDMARKS - 1):
+        distances_m = distance_matrix(front_m, front_m[chosen]).min(axis=1)
         chosen.append(int(np.argmax(distances_m)))
-    return chosen
-
-
-def _tissue(layers: list[Layer]) -> tuple[TissueLayer, ...]:
-    """Return layers of the simulation as thick as those of the plan.
-
-    The last one is thicker, so that the needle can go beyond the target.
-    """
-    fat, muscle, liver = ABDOMEN
-    kinds = {"liver": liver, "fat": fat, "cavity": fat}
-    thickness_m = np.array([layer.exit_m - layer.entry_m for layer in layers])
-    thickness_m[-1] += 2.0 * BEYOND_m
-    return tuple(
-        replace(kinds.get(layer.name, muscle), name=layer.name, thickness_m=each_m)
-        for layer, each_m in zip(layers, thickness_m.tolist(), strict=True)
+    landmarks_m = front_m[chosen]
+    touched_m = draw_skin_points(labels, line, rng)
+    landmark_errors_m = 1e-3 * rng.normal(size=landmarks_m.shape)
+    touch_errors_m = 0.5e-3 * rng.normal(size=touched_m.shape)
+    rough = fit_landmarks(
+        landmarks_m,
+        placement.to_robot(landmarks_m) + landmark_errors_m,
+        std_m=1.5e-3,  # more than they have: who knows his own errors
+        is_std_known=True,
     )
+    touches_m = placement.to_robot(touched_m) + touch_errors_m
+    return rough, fit_surface(skin, touches_m, rough)
 
 
-def _simulate(path: StraightPath, seed: int, progress: Callable[[float], None]) -> Run:
-    """Simulate an insertion through the layers of a plan, and beyond its end."""
-    motion = constant_motion(
-        speed_m_s=SPEED_m_s, depth_m=path.length_m + BEYOND_m, standoff_m=15e-3
-    )
-    scenario = Scenario(
-        id="abdomen",
-        title="the plan's tissues",
-        layers=_tissue(path.layers),
-        motion=motion,
-    )
-    return simulate(scenario, "clean", seed, progress)
-
-
-def _follow_plan(
-    run: Run, match: PlanMatch, shift_m: float, length_m: float
-) -> FollowedInsertion:
-    """Run a session over the signals of a run, its ruptures matched with the plan.
-
-    It ends where the corrected plan has the target: there the needle would stop.
+def _insert_to_target(
+    run: Run, session: InsertionSession, length_m: float, moments: list[Moment]
+) -> list[RuptureOfPlan]:
+    """Run a session until the corrected plan has the target; return its ruptures.
 
     Args:
         run: The insertion.
-        match: The plan.
-        shift_m: By so much everything lies deeper than planned.
+        session: Follows the plan.
         length_m: Length of the planned path.
+        moments: Takes what the scene shows; the last one is where the needle stops.
     """
     signals = run.signals
-    session = InsertionSession(run.robot)
-    ruptures: list[RuptureOfPlan] = []
-    moments: list[Moment] = []
+    ruptures: dict[float, RuptureOfPlan] = {}
     latest_s = -np.inf
-    entry_m = depth_m = 0.0
-    entry_in_base_m = axis = np.zeros(3)
-    steps_s = np.diff(signals.t_s, prepend=signals.t_s[0])
+    steps_s = np.diff(signals.t_s, prepend=signals.t_s[0]).tolist()
     for number, step_s in enumerate(steps_s):
         q_rad = signals.q_rad[number]
         dq_rad_s = None if signals.dq_rad_s is None else signals.dq_rad_s[number]
-        estimate = session.update(q_rad, dq_rad_s, signals.tau_Nm[number], step_s)
         if not session.tared and signals.t_s[number] > run.tare_end_s:
             session.tare()
-            # The robot knows where its tip is, and where the planned entry; the tissue
-            # lies deeper by what nobody knows.
-            zero = session.snapshot().zero
-            entry_m = -float(run.truth.depth_m[number]) - shift_m
-            axis = zero.axis_in_base
-            entry_in_base_m = zero.start_in_base_m + entry_m * axis
-            session.follow(match, entry_in_base_m)
+        estimate = session.update(q_rad, dq_rad_s, signals.tau_Nm[number], step_s)
+        if estimate.plan is None or estimate.deviation is None:
             continue
-        if estimate.plan is None:
-            continue
-        if signals.t_s[number] > run.scenario.motion.insertion_end_s:
-            break
-        ruptures = _updated_ruptures(ruptures, estimate, entry_m)
-        if is_kept(estimate, latest_s):
+        found = estimate.identification
+        depth_m = estimate.deviation.depth_m
+        if found.retracted is not None:
+            ruptures.pop(found.retracted.alarm_s, None)
+        if found.rupture is not None:
+            rupture_m = found.rupture.depth_m - estimate.depth_m + depth_m
+            ruptures[found.rupture.alarm_s] = RuptureOfPlan(rupture_m, estimate.plan)
+        is_over = signals.t_s[number] > run.scenario.motion.insertion_end_s
+        has_arrived = depth_m >= length_m + estimate.plan.offset_m
+        if is_over or has_arrived or is_kept(estimate, latest_s):
             latest_s = estimate.time_s
             moments.append(Moment(q_rad, estimate))
-        depth_m = estimate.depth_m - entry_m
-        if depth_m >= length_m + estimate.plan.offset_m:
+        if is_over or has_arrived:
             break
-    estimates = [moment.estimate for moment in moments]
-    found = [estimate.identification for estimate in estimates]
-    return FollowedInsertion(
-        depth_m=np.array([estimate.depth_m for estimate in estimates]) - entry_m,
-        force_N=np.array([estimate.wrench.axial for estimate in estimates]),
-        tip_N=np.array([one.tip_force_N for one in found]),
-        ruptures=ruptures,
-        stop_m=depth_m,
-        moments=moments,
-        entry_in_base_m=entry_in_base_m,
-        axis=axis,
-    )
-
-
-def _updated_ruptures(
-    ruptures: list[RuptureOfPlan], estimate: SessionEstimate, entry_m: float
-) -> list[RuptureOfPlan]:
-    """Return ruptures with the one of a sample, without the one that it retracts."""
-    found = estimate.identification
-    if found.retracted is not None:
-        wrong_m = found.retracted.depth_m - entry_m
-        ruptures = [one for one in ruptures if one.depth_m != wrong_m]
-    if found.rupture is not None and estimate.plan is not None:
-        depth_m = found.rupture.depth_m - entry_m
-        ruptures = [*ruptures, RuptureOfPlan(depth_m, estimate.plan)]
-    return ruptures
+    return list(ruptures.values())

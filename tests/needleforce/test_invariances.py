@@ -1,7 +1,6 @@
 """What is identified through an arm does not depend on how its signals are written.
 
-One simulated gel, at 500 Hz: as a log for the commands, and sample by sample for a
-session.
+One simulated gel, at 500 Hz, sample by sample for a session.
 """
 
 from functools import cache
@@ -12,11 +11,6 @@ import pytest
 
 from groundtruth import simulate
 from needleforce import InsertionSession
-from needleforce.cli import main
-from needleforce.cli.logs.layers import identify_layers
-from needleforce.cli.logs.replay import depth_channels
-from needleforce.cli.shared_options import IdentificationOptions
-from needleforce.recordings import ColumnMapping, read_log, write_table
 
 pytestmark = pytest.mark.slow
 
@@ -104,7 +98,6 @@ CHANGES = {
     "the approach twice": approach_twice,
     "half the rate": lambda log: log.rows(slice(None, None, 2)),
 }
-UNITS = "degrees and mNm"
 
 
 def layers_of_session(log):
@@ -119,31 +112,9 @@ def layers_of_session(log):
     return session.layers
 
 
-def layers_of_log(log, folder, *, has_own_units=False):
-    """What is found in the forces that the command `force` writes."""
-    columns = {"t_s": log.t_s, "q_rad": log.q_rad}
-    columns |= {"dq_rad_s": log.dq_rad_s, "tau_Nm": log.tau_Nm}
-    if has_own_units:
-        columns = {"t_ms": 1e3 * log.t_s, "q_deg": np.degrees(log.q_rad)}
-        columns |= {"dq_deg_s": np.degrees(log.dq_rad_s), "tau_mNm": 1e3 * log.tau_Nm}
-    write_table(folder / "arm.npz", columns)
-    tare = f"{log.t_s[0]:.3f}:{log.tare_end_s:.3f}"
-    output = ["-o", str(folder / "forces.npz")]
-    assert main(["force", str(folder / "arm.npz"), "--tare", tare, *output]) == 0
-
-    forces = read_log(
-        folder / "forces.npz",
-        required=("depth", "force"),
-        optional=depth_channels(ColumnMapping()),
-    )
-    return identify_layers(forces, IdentificationOptions()).layers
-
-
 @cache
-def original_layers(folder):
-    """Of the session, or of the log that is written into a folder."""
-    log = record()[0]
-    return layers_of_log(log, folder) if folder else layers_of_session(log)
+def original_layers():
+    return layers_of_session(record()[0])
 
 
 def assert_same(layers, changed):
@@ -158,30 +129,4 @@ def assert_same(layers, changed):
 def test_the_same_samples_have_the_same_layers_in_a_session(change):
     changed = layers_of_session(CHANGES[change](record()[0]))
 
-    assert_same(original_layers(None), changed)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("log")
-
-
-EARLY_CONTACT = pytest.mark.xfail(
-    reason="contact is found 2.4 mm in front of the tissue, and the layer is as much "
-    "thicker; its friction is the same"
-)
-OF_LOGS = [change for change in (*CHANGES, UNITS) if change != "half the rate"]
-
-
-@pytest.mark.parametrize(
-    "change", [*OF_LOGS, pytest.param("half the rate", marks=EARLY_CONTACT)]
-)
-def test_the_same_arm_log_has_the_same_layers(change, folder, tmp_path):
-    log = record()[0]
-    changed = layers_of_log(
-        CHANGES[change](log) if change in CHANGES else log,
-        tmp_path,
-        has_own_units=change == UNITS,
-    )
-
-    assert_same(original_layers(folder), changed)
+    assert_same(original_layers(), changed)

@@ -78,6 +78,6 @@ def test_the_warning_says_how_fast_a_needle_may_be_where_the_lag_is_known():
     robots = session.update_external_torque(still, None, still, 1e-3).wrench
 
     assert SensorWarning.TOO_FAST in own.warnings
-    assert "24 ms late: advance by at most 12 mm/s" in own.message
+    assert "12 mm/s" in own.message
     assert SensorWarning.TOO_FAST in robots.warnings
     assert "advance slower" in robots.message

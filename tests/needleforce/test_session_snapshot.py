@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from foundation.state import MAX_FILE_BYTES
 from identification import MIXTURE, PUBLISHED, RuptureState
 from needleforce import (
     InsertionError,
@@ -132,20 +133,6 @@ def test_another_robot_or_other_settings_are_refused(lwr):
         VirtualForceSensor(lwr).restore(snapshot)
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [{"travel": (0.0, 0.0)}, {"checkpoints": ()}, {"plan": None}],
-    ids=str,
-)
-def test_a_snapshot_edited_in_memory_is_refused(fields):
-    session = InsertionSession(short_run().robot)
-    state = session.snapshot()
-
-    with pytest.raises(InsertionError, match="the snapshot is damaged"):
-        session.restore(stopped_after(IN_TISSUE)._replace(**fields))
-    assert same(session.snapshot(), state)
-
-
 def test_a_shallow_copy_shares_nothing():
     session, rows = resumed_after(IN_TISSUE, 300)
     twin = copy.copy(session)
@@ -159,49 +146,34 @@ def test_a_shallow_copy_shares_nothing():
     )
 
 
-def written(folder):
-    """A file with a snapshot."""
-    path = folder / "s"
+def test_files_that_are_no_snapshots_are_refused(tmp_path):
+    path = tmp_path / "s"
     write_snapshot(stopped_after(IN_TISSUE), path)
-    return path
-
-
-def test_files_that_are_no_snapshots_say_so(tmp_path):
-    path = written(tmp_path)
     content = path.read_bytes()
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 4
+
+    assert same(read_snapshot(path), stopped_after(IN_TISSUE))
+
     for changed, match in [
         (content.replace(b" session ", b" sensor ", 1), "SessionSnapshot"),
-        (content.replace(b" session ", b" Popen ", 1), "'Popen'"),
+        (content.replace(b" session ", b" Popen ", 1), "Popen"),
+        (bytes(flipped), "damaged"),
         (content[:1000], "cut short"),
         (b"", "no state"),
+        (bytes(MAX_FILE_BYTES + 1), "no state"),
     ]:
         path.write_bytes(changed)
         with pytest.raises(SnapshotFileError, match=match):
             read_snapshot(path)
 
-    with pytest.raises(SnapshotFileError, match="got a dict"):
+    with pytest.raises(SnapshotFileError, match="dict"):
         write_snapshot({}, path)
-    with pytest.raises(OSError, match="missing"):
-        read_snapshot(tmp_path / "missing")
-
-
-@pytest.mark.slow
-def test_one_changed_byte_is_noticed(tmp_path):
-    path = written(tmp_path)
-    content = bytearray(path.read_bytes())
-    for at in np.random.default_rng(0).integers(len(content), size=200):
-        content[at] ^= 4
-        path.write_bytes(content)
-        with pytest.raises(SnapshotFileError):
-            read_snapshot(path)
-        content[at] ^= 4
-    path.write_bytes(content)
-
-    assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
 
 def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
-    path = written(tmp_path)
+    path = tmp_path / "s"
+    write_snapshot(stopped_after(IN_TISSUE), path)
     older = path.read_bytes()
 
     def full(_):
@@ -213,9 +185,3 @@ def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
         write_snapshot(stopped_after(IN_TISSUE), path)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == older
-
-
-def test_what_a_snapshot_cannot_hold_is_refused(tmp_path):
-    snapshot = stopped_after(IN_TISSUE)._replace(unused_s=object())
-    with pytest.raises(SnapshotFileError):
-        write_snapshot(snapshot, tmp_path / "s")

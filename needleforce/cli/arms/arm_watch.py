@@ -22,7 +22,12 @@ from needleforce.cli.arms.arm_connection import (
 )
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
-from needleforce.cli.shared_options import ArmOptions, RobotOptions, WatchOptions
+from needleforce.cli.shared_options import (
+    ArmOptions,
+    Direction,
+    RobotOptions,
+    WatchOptions,
+)
 from needleforce.cli.terminal import CHECK_ARM, CommandError, say, write_out
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
 from needleforce.depth_zero import DepthZero, find_depth_zero
@@ -235,9 +240,7 @@ def _open_tared_arm(
 
 
 @contextmanager
-def _open_reference(
-    address: str, axis: tuple[float, float, float]
-) -> Iterator[ReferenceForce]:
+def _open_reference(address: str, axis: Direction) -> Iterator[ReferenceForce]:
     """Open a force sensor beside the session; its report is printed at the end."""
     with NetFT(address) as sensor:
         sensor.on_silence = partial(say_silence, what="reference: ")

@@ -4,7 +4,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from needleforce import plots
 from needleforce.anatomy import Registration
@@ -19,9 +18,9 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plan_file import crop_scan, large_structures
 from needleforce.plots.plan_slices import draw_along
+from needleforce.simulation.patient import TOUCHES
 from needleforce.simulation.planned_insertion import (
     LANDMARKS,
-    TOUCHES,
     PlannedInsertion,
     insert,
 )
@@ -72,14 +71,13 @@ def _write_page(
     insertion: PlannedInsertion, rows: dict[str, str], folder: Path
 ) -> None:
     """Write the page: CT and path, what the insertion made of the plan, the film."""
-    followed = insertion.followed
     scan = draw_along(
         insertion.torso.scan,
         insertion.torso.labels,
         insertion.path,
         folder / "ct.png",
-        ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],
-        tip_m=followed.stop_m - insertion.shift_m,
+        ruptures_m=[one.depth_m - insertion.shift_m for one in insertion.ruptures],
+        tip_m=insertion.stop_m - insertion.shift_m,
     )
     in_space = "3-D film: not made, the extra `scene` is not installed."
     if find_spec("viser") is not None:
@@ -100,31 +98,23 @@ def _write_page(
 
 
 def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
-    """Write the insertion as a film in the scene.
-
-    The patient lies where the needle meets the planned entry.
-    """
+    """Write the insertion as a film in the scene."""
     from needleforce.scene import PlanScene, Viewer
 
     planned = insertion.path
-    followed = insertion.followed
-    up = (0.0, 0.0, 1.0)  # to the head in the model, and up in the scene
-    rotation = Rotation.align_vectors(
-        [followed.axis, up], [planned.axis, up], weights=[np.inf, 1.0]
-    )[0]
     labels = insertion.torso.labels
     scene = PlanScene(
         surfaces=tuple(labels.surfaces(large_structures(labels)).values()),
         layers=planned.layers,
         entry_m=planned.entry_m,
         target_m=planned.target_m,
-        rotation=rotation.as_matrix(),
-        translation_m=followed.entry_in_base_m - rotation.apply(planned.entry_m),
+        rotation=insertion.placement.rotation,
+        translation_m=insertion.placement.translation_m,
         scan=crop_scan(insertion.torso.scan, planned.entry_m, planned.target_m),
     )
     shapes = urdf_with_shapes(RobotOptions())
     viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
-    viewer.append(followed.moments)
+    viewer.append(insertion.moments)
     try:
         return viewer.export(path)
     finally:
@@ -141,20 +131,18 @@ def _rows_of(insertion: PlannedInsertion) -> dict[str, str]:
         for layer in insertion.path.layers
     )
     by_plan_mm, corrected_mm = (M_TO_MM * error_m for error_m in insertion.errors_m)
-    ruptures = insertion.followed.ruptures
-    rough, fine = insertion.registrations
-    by_touches = "refused: the skin slides or spins on itself"
-    if fine is not rough:
-        by_touches = _describe_registration(insertion, fine)
+    ruptures = insertion.ruptures
     rows = {
         "CT": f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
         "planned path": f"{path}; target in the {torso.target}",
         "plan off by": f"{by_plan_mm:.1f} -> {corrected_mm:.1f} mm after "
         f"{len(ruptures)} ruptures (tip from target)",
         f"registration by {LANDMARKS} landmarks": _describe_registration(
-            insertion, rough
+            insertion, insertion.rough
         ),
-        f"and {TOUCHES} touches of the skin": by_touches,
+        f"and {TOUCHES} touches of the skin": _describe_registration(
+            insertion, insertion.fine
+        ),
     }
     for number, (depth_m, plan) in enumerate(ruptures, 1):
         place = f"{M_TO_MM * depth_m:.1f} mm below the planned entry"

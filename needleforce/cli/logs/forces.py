@@ -176,13 +176,12 @@ def _describe_samples(replay: SensorReplay, log: Log) -> str:
 def _describe_gaps(replay: SensorReplay) -> str:
     """Return how many gaps in time there are, and the longest."""
     limit = f"longer than {replay.config.max_gap_s:g} s"
-    gaps = int(replay.rows["after_gap"].sum())
+    is_after_gap = replay.rows["after_gap"].to_numpy() > 0.0
+    gaps = int(is_after_gap.sum())
     if not gaps:
         return f"none {limit}"
-    return (
-        f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after "
-        "each"
-    )
+    longest_s = np.diff(replay.rows["t_s"], prepend=np.nan)[is_after_gap].max()
+    return f"{gaps} {limit} (longest {longest_s:.6g} s): filters restart after each"
 
 
 def _count(replay: SensorReplay, warning: SensorWarning) -> int:

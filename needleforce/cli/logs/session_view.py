@@ -66,10 +66,8 @@ def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -
     scene = EMPTY if plan is None else plan.scene
     shapes = urdf_with_shapes(robot)
     viewer = Viewer(model, scene, urdf_path=shapes, port=options.port)
-    warn(
-        f"the arm is shown without {name}, which cannot be read"
-        for name in viewer.unread_meshes
-    )
+    if viewer.unread_shapes:
+        warn([f"the arm is shown as a line: {viewer.unread_shapes}"])
     viewer.append(moments)
     viewer.open_recording()
     if export is not None:

@@ -19,8 +19,7 @@ class CaseOptions:
 
     Attributes:
         ct: CT: folder with one DICOM series, .nii.gz or .nrrd.
-        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, DICOM SEG, or
-            the folder of masks that TotalSegmentator writes.
+        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, or DICOM SEG.
         target: Name of a structure, whose innermost point is the target; or points or a
             line of 3D Slicer (.mrk.json): the first point is the target, a line is the
             path.

@@ -45,13 +45,7 @@ from needleforce.cli.terminal import (
     warn,
     write_out,
 )
-from needleforce.plan_binding import (
-    MadeOf,
-    path_sha256,
-    record_labels,
-    record_scan,
-)
-from needleforce.plan_file import PLAN, large_structures
+from needleforce.plan_file import PLAN, MadeOf, hash_sources, large_structures
 from needleforce.plots import (
     PAGE,
     Page,
@@ -257,8 +251,6 @@ def _plan_fields(
     case: PatientCase, space: FreeSpace, path: SkinPath, avoid: Sequence[str]
 ) -> dict[str, Any]:
     """Return what the plan's file says of the path; see docs/reference/files.md."""
-    boundaries = [(layer.name, layer.exit_m) for layer in path.layers]
-    sizes_m = (space.needle_radius_m, space.margin_m)
     names = ("name", "exit_m", "exit_std_m", "is_obstacle")
     return {
         "version": PLAN_VERSION,
@@ -270,9 +262,13 @@ def _plan_fields(
             {name: getattr(layer, name) for name in names} for layer in path.layers
         ],
         "made_of": MadeOf(
-            ct=record_scan(case.scan),
-            labels=record_labels(case.file_labels),
-            path_sha256=path_sha256(path.entry_m, path.target_m, boundaries, *sizes_m),
+            sha256=hash_sources(
+                case.scan,
+                case.file_labels,
+                np.array([path.entry_m, path.target_m]),
+                path.layers,
+                space,
+            ),
             avoided=tuple(avoid),
         ),
     }

@@ -3,9 +3,9 @@
     with Emulator(emulate_fri, FriSettings(port=49938, q_rad=q, tau_Nm=tau)):
         ...
 
-They speak the devices' own protocols in real time, over a wire that breaks on demand.
+They speak the devices' own protocols in real time, and fall silent on demand.
 
-Reading order: `process` (of an emulator), `wire`, `fri`, `rdt`.
+Reading order: `process` (of an emulator), `fri`.
 """
 
 from needleforce.devices.emulators.fri import (
@@ -15,10 +15,3 @@ from needleforce.devices.emulators.fri import (
     emulate_fri as emulate_fri,
 )
 from needleforce.devices.emulators.process import Emulator as Emulator
-from needleforce.devices.emulators.rdt import (
-    RdtSettings as RdtSettings,
-)
-from needleforce.devices.emulators.rdt import (
-    emulate_rdt as emulate_rdt,
-)
-from needleforce.devices.emulators.wire import WireFaults as WireFaults

@@ -134,34 +134,16 @@ def slicer_tags(what, side="^^", region="^^"):
     return f"Segmentation.Status:x|TerminologyEntry:{entry}~Codes~{region}~^^|"
 
 
-def write_seg_nrrd(path, volumes, segments):
-    """Write layers (i, j, k) and fields of segments as 3D Slicer does.
-
-    Args:
-        path: The file.
-        volumes: Of Slicer 5 the layers, up to 4.10 one mask per segment.
-        segments: Fields of each, the ID is added.
-    """
-    shape = " ".join(map(str, volumes[0].shape))
-    is_list = len(volumes) > 1
-    columns = [f"({','.join(map(str, row))})" for row in np.diag(SPACING_mm)]
-    lines = [
-        "NRRD0004",
-        "type: unsigned char",
-        f"dimension: {4 if is_list else 3}",
-        "space: left-posterior-superior",
-        f"sizes: {f'{len(volumes)} ' if is_list else ''}{shape}",
-        f"space directions: {'none ' if is_list else ''}{' '.join(columns)}",
-        f"kinds: {'list ' if is_list else ''}domain domain domain",
-        "encoding: gzip",
-        f"space origin: ({','.join(map(str, ORIGIN_mm))})",
-    ]
+def write_seg_nrrd(path, layers, segments):
+    """Write layers (i, j, k) and fields of segments as 3D Slicer does."""
+    values = np.stack(layers, axis=-1) if len(layers) > 1 else layers[0]
+    image = SimpleITK.GetImageFromArray(values.swapaxes(0, 2), values.ndim > 3)
+    image.SetSpacing(SPACING_mm.tolist())
+    image.SetOrigin(ORIGIN_mm.tolist())
     for number, fields in enumerate(segments):
-        own = {"ID": f"Segment_{number + 1}", **fields}
-        lines += [f"Segment{number}_{key}:={text}" for key, text in own.items()]
-    content = np.stack(volumes).ravel(order="F").astype(np.uint8).tobytes()
-    header = "\n".join([*lines, "", ""]).encode()
-    path.write_bytes(header + gzip.compress(content))
+        for key, text in {"ID": f"Segment_{number + 1}", **fields}.items():
+            image.SetMetaData(f"Segment{number}_{key}", str(text))
+    SimpleITK.WriteImage(image, str(path))
 
 
 def write_labels_with_table(path, values, table):

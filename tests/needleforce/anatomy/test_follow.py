@@ -18,7 +18,9 @@ from needleforce.anatomy.plan_match import OUTSIDE
 from needleforce.cli import main
 from needleforce.cli.arms import arm_connection, arm_watch
 from needleforce.devices.link import Link
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.plan_follower import PlanFollower
+from needleforce.tip_travel import TravelZero
 from tests.insertion_run import (
     following,
     same,
@@ -49,8 +51,9 @@ def layers(*names):
 
 
 MATCH = PlanMatch(layers("gel", "behind"), 3e-3)
-ZERO = stopped_after(TARE).zero
+ZERO = stopped_after(TARE).course.zero
 ENTRY_m = ZERO.start_in_base_m + SURFACE_m * ZERO.axis_in_base
+PATH = PlannedPath.of_std(ENTRY_m, ENTRY_m + 0.05 * ZERO.axis_in_base, 3e-3)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +62,7 @@ def whole():
     session = InsertionSession(RUN.robot)
     estimates = []
     snapshots = {}
-    session.follow(MATCH, ENTRY_m)
+    session.follow(MATCH, path=PATH)
     for k, row in samples(RUN):
         if k == TARE:
             session.tare()
@@ -106,7 +109,7 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
     estimates, snapshots = whole
     for cut, snapshot in snapshots.items():
         session = InsertionSession(RUN.robot)
-        session.follow(MATCH, ENTRY_m)
+        session.follow(MATCH, path=PATH)
         if where == "file":
             write_snapshot(snapshot, tmp_path / "s")
             snapshot = read_snapshot(tmp_path / "s")
@@ -127,37 +130,24 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
 def test_restoring_with_another_plan_changes_nothing(whole):
     _, snapshots = whole
     snapshot = snapshots[TARE + 4000]
-    for plan, entry, refused_snapshot, why in [
-        (None, None, snapshot, "another"),
-        (PlanMatch(layers("gel", "bone"), 3e-3), ENTRY_m, snapshot, "another"),
-        (PlanMatch(layers("gel", "behind"), 2e-3), ENTRY_m, snapshot, "another"),
-        (MATCH, None, snapshot, "another"),
-        (MATCH, ENTRY_m, stopped_after(TARE), "without"),
-        (
-            *(MATCH, ENTRY_m),
-            snapshot._replace(
-                plan=snapshot.plan._replace(ruptures=((2.0, 0.03), (1.0, 0.01)))
-            ),
-            "damaged",
-        ),
+    for plan, path, refused_snapshot in [
+        (None, None, snapshot),
+        (PlanMatch(layers("gel", "bone"), 3e-3), PATH, snapshot),
+        (PlanMatch(layers("gel", "behind"), 2e-3), PATH, snapshot),
+        (MATCH, None, snapshot),
+        (MATCH, PATH, stopped_after(TARE)),
     ]:
         session = InsertionSession(RUN.robot)
-        session.follow(plan, entry)
+        session.follow(plan, path=path)
         unchanged = session.snapshot()
-        with pytest.raises(InsertionError, match=why):
+        with pytest.raises(InsertionError, match="plan"):
             session.restore(refused_snapshot)
         assert same(session.snapshot(), unchanged)
 
 
-def test_an_invalid_plan_or_entry_is_refused():
-    session = InsertionSession(RUN.robot)
-
+def test_an_invalid_plan_is_refused():
     with pytest.raises(InsertionError, match="list"):
-        session.follow(layers("gel", "behind"))
-
-    for entry in ([0.0, 1.0], [np.nan] * 3):
-        with pytest.raises(InsertionError, match="entry_in_base_m"):
-            session.follow(MATCH, entry)
+        InsertionSession(RUN.robot).follow(layers("gel", "behind"))
 
 
 def test_a_retracted_alarm_restores_the_plan():
@@ -174,7 +164,7 @@ def test_a_retracted_alarm_restores_the_plan():
     alarm = Rupture(depth_m=0.012, alarm_depth_m=0.0125, **numbers)
     wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
     for follower in (wrong, right):
-        follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        follower.begin(TravelZero(np.zeros(3), np.array([0.0, 0.0, 1.0])))
         follower.match(quiet, 0.0125, None)
 
     unmoved = right.state
@@ -303,7 +293,7 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
         ({"entry_mm": [0, 0, 0]}, "entry_mm"),
         (
             {"entry_m": [0, 0]},
-            "length 3",
+            "length",
         ),
     ],
 )

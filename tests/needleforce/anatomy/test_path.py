@@ -163,45 +163,43 @@ def test_flat_layers_are_exact_and_bone_obstructs():
 
 
 @pytest.mark.parametrize("spacing_mm", [(5.0, 0.7, 0.7), (0.7, 5.0, 0.7), (1, 1, 1)])
-def test_slanting_paths_and_uncertain_boundaries_state_more(spacing_mm):
+def test_slanting_paths_state_more(spacing_mm):
     labels = slabs("fat", "muscle", spacing_m=1e-3 * np.array(spacing_mm))
 
-    def std_m(entry, target, boundary_std_m=0.0):
-        ends_m = labels.grid.points_m([entry, target])
-        return labels.layers_along(*ends_m, boundary_std_m)[1].entry_std_m
+    def std_m(entry, target):
+        return labels.layers_along(*labels.grid.points_m([entry, target]))[
+            1
+        ].entry_std_m
 
     plain_m = std_m([2.0, 10.0, 10.0], [17.0, 10.0, 10.0])
-    wide_m = std_m([2.0, 10.0, 10.0], [17.0, 10.0, 10.0], 1e-3)
-    assert wide_m == pytest.approx(np.hypot(plain_m, 1e-3), rel=0.02)
     assert plain_m == pytest.approx(0.105e-3 * spacing_mm[0], rel=0.05)
     slanting = std_m([5.0, 2.0, 10.0], [14.0, 17.0, 10.0])
     cosine = 9.0 / np.hypot(9.0, 15.0 * spacing_mm[1] / spacing_mm[0])
     assert slanting == pytest.approx(plain_m / cosine, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", [np.int16, np.int32, np.int64])
-def test_labels_may_be_integers_of_any_size(kind):
-    ends_m = [0.002, 0.01, 0.01], [0.017, 0.01, 0.01]
-    expected = slabs("fat", "muscle").layers_along(*ends_m)
-
-    assert slabs("fat", "muscle", kind=kind).layers_along(*ends_m) == expected
-
-
 @pytest.mark.parametrize(
-    ("entry", "target", "std_m", "why"),
+    ("entry", "target", "is_refused"),
     [
-        ([0, 0, 0], [10, 10, 10], 0.0, "outside"),
-        ([0, 0, 0], [0.0, 0.0, -6e-4], 0.0, "outside"),
-        ([0, 0, np.nan], [0.01, 0.01, 0.01], 0.0, "nan"),
-        ([-60.0, 10.0, 10.0], [0.01, 0.01, 0.01], 0.0, "metres"),
-        ([0, 0], [0.01, 0.01, 0.01], 0.0, "numbers"),
-        ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], 0.0, "same"),
-        *(([0, 0, 0], [0.01] * 3, bad, "std") for bad in (np.nan, -1e-3, np.inf, 0.5)),
+        ([0, 0, 0], [0.0, 0.0, -5.1e-4], True),
+        ([0, 0, 0], [0.0, 0.0, -4.9e-4], False),
+        ([0, 0, 0], [0.0, 0.0, 19.51e-3], True),
+        ([0, 0, 0], [0.0, 0.0, 19.49e-3], False),
+        ([0, 0, np.nan], [0.01, 0.01, 0.01], True),
+        ([-1.01, 0.0, 0.0], [0.01, 0.01, 0.01], True),
+        ([-0.99, 0.0, 0.0], [0.01, 0.01, 0.01], False),
+        ([0.0, 0.0, 1.03], [0.01, 0.01, 0.01], True),
+        ([0, 0], [0.01, 0.01, 0.01], True),
+        ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], True),
     ],
 )
-def test_paths_and_deviations_that_cannot_be_are_refused(entry, target, std_m, why):
-    with pytest.raises(VolumeError, match=why):
-        slabs("fat", "muscle").layers_along(entry, target, std_m)
+def test_a_path_leads_from_within_a_metre_into_the_volume(entry, target, is_refused):
+    labels = slabs("fat", "muscle")
+    if is_refused:
+        with pytest.raises(VolumeError):
+            labels.layers_along(entry, target)
+    else:
+        assert labels.layers_along(entry, target)
 
 
 @pytest.mark.parametrize("name", ["rib", "portal_vein"])
@@ -240,47 +238,38 @@ def test_the_clearance_is_that_of_the_nearest_voxels_box(seed):
     labels = labels_of(values, ["rib"], spacing_m, turn, (0.1, -0.2, 0.3))
     boxes = VoxelBoxes(labels, labels["rib"])
     low_m = (np.argwhere(values) - 0.5) * spacing_m
+
+    def gap_m(place_m):
+        nearest_m = np.clip(place_m, low_m, low_m + spacing_m)
+        return np.linalg.norm(place_m - nearest_m, axis=1).min()
+
     for _ in range(5):
         ends = rng.uniform(-0.4, 1.4, (2, 3)) * values.shape
-        entry_m, target_m = labels.grid.points_m(ends)
-        found = boxes.nearest(entry_m, target_m)
-        ends_m = ends * spacing_m
-        points_m = ends_m[0] + np.linspace(0, 1, 101)[:, None] * (ends_m[1] - ends_m[0])
-        nearest_m = np.clip(points_m[:, None], low_m, low_m + spacing_m)
-        gaps_m = np.linalg.norm(points_m[:, None] - nearest_m, axis=-1).min(axis=1)
-        step_m = np.linalg.norm(ends_m[1] - ends_m[0]) / 100
+        found = boxes.nearest(*labels.grid.points_m(ends))
+        way_m = (ends[1] - ends[0]) * spacing_m
+        length_m = np.linalg.norm(way_m)
 
-        assert found.distance_m <= gaps_m.min() + 1e-8
+        def gap_at_m(depth_m, start_m=ends[0] * spacing_m, axis=way_m / length_m):
+            return gap_m(start_m + depth_m * axis)
+
         # Half a step beside the nearest place the distance has grown by no more.
-        assert found.distance_m >= gaps_m.min() - 0.5 * step_m - 1e-8
-        at_m = ends_m[0] + found.depth_m / (100 * step_m) * (ends_m[1] - ends_m[0])
-        gap_m = np.linalg.norm(at_m - np.clip(at_m, low_m, low_m + spacing_m), axis=-1)
-        assert gap_m.min() == pytest.approx(found.distance_m, abs=1e-8)
-        if gaps_m.min() == 0.0:
-            assert found.depth_m <= step_m * np.argmin(gaps_m) + 1e-8
-            assert any(
-                layer.is_obstacle
-                for layer in (
-                    labels.layers_along(entry_m, target_m)
-                    if np.all(
-                        (ends[1] > -0.5) & (ends[1] < np.array(values.shape) - 0.5)
-                    )
-                    else labels.structures
-                )
-            )
-        near = boxes.nearest(entry_m, target_m, found.distance_m + 1e-6)
-        assert near.distance_m == pytest.approx(found.distance_m, abs=1e-9)
-        if found.distance_m > 1e-6:
-            within_m = found.distance_m - 1e-6
-            assert boxes.nearest(entry_m, target_m, within_m) is None
+        gaps_m = [gap_at_m(depth_m) for depth_m in np.linspace(0.0, length_m, 101)]
+        least_m = min(gaps_m)
+        assert least_m - 0.005 * length_m - 1e-8 <= found.distance_m <= least_m + 1e-8
+        assert gap_at_m(found.depth_m) == pytest.approx(found.distance_m, abs=1e-8)
+        if least_m == 0.0:  # the first voxel that is crossed counts
+            assert found.depth_m <= 0.01 * length_m * np.argmin(gaps_m) + 1e-8
+        else:
+            ends_m = labels.grid.points_m(ends)
+            assert boxes.nearest(*ends_m, found.distance_m + 1e-6) == found
+            assert boxes.nearest(*ends_m, found.distance_m - 1e-6) is None
 
 
 def test_a_path_inside_bone_from_end_to_end_is_no_clear_one():
     labels = labels_of(np.ones((20, 20, 20), np.uint8), ["femur"])
-    boxes = VoxelBoxes(labels, labels.structures[0])
+    (found,) = labels.clearances([0.009] * 3, [0.011] * 3)
 
-    assert boxes.nearest([0.009] * 3, [0.011] * 3)[:2] == (0.0, 0.0)
-    assert boxes.nearest([0.009] * 3, [0.011] * 3, 0.0)[:2] == (0.0, 0.0)
+    assert (found.distance_m, found.depth_m) == (0.0, 0.0)
 
 
 def test_axes_that_are_not_orthogonal_are_refused():
@@ -509,15 +498,15 @@ def test_a_needle_beside_its_plan_or_turned_is_too_near_though_the_plan_is_not(
     assert f"the {part} passes portal_vein" in str(found["portal_vein"])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), step_mm=st.sampled_from([0.02, 0.2, 2.0]))
-def test_no_approach_goes_unnoticed_between_measurements(seed, step_mm):
-    around = surroundings()
+def test_distances_are_right_to_a_tenth_whatever_was_measured_before(seed, step_mm):
+    around, fresh = surroundings(), surroundings()
     aside_m = 0.0
-    for step_m in np.random.default_rng(seed).normal(0.0, 1e-3 * step_mm, 200):
+    for step_m in np.random.default_rng(seed).normal(0.0, 1e-3 * step_mm, 50):
+        judge(fresh, 0.02)
         aside_m = float(np.clip(aside_m + step_m, 0.0, 0.018))
         kept = judge(around, 0.045, aside_m)["portal_vein"]
-        true_m = 19.5e-3 - aside_m
-        if true_m <= 5.8e-3:
-            assert kept.is_too_near
-        assert kept.distance_m == pytest.approx(true_m, abs=0.25 * 14e-3)
+        assert kept.distance_m == pytest.approx(19.5e-3 - aside_m, abs=0.1e-3)
+        # What is said of a place depends on nothing that was said before.
+        assert kept == judge(fresh, 0.045, aside_m)["portal_vein"]

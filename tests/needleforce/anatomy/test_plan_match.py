@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from needleforce.anatomy import Layer, PlanError, PlanMatch
 
@@ -39,9 +40,6 @@ def test_ruptures_move_the_plan_and_name_the_layer():
     assert second.next_std_m == pytest.approx(np.hypot(second.offset_std_m, 0.5e-3))
     assert (second.matched, second.matched_name) == (2, "gland")
     assert min(second.probability, second.matched_probability) > 0.8
-    low_m, high_m = match.interval_m(0.039, [0.024, 0.039])
-    assert low_m < 4e-3 < high_m < low_m + 6e-3
-    assert match.interval_m(0.039, [0.024, 0.039], 0.5)[1] < high_m
     last = match.state(0.064, [0.024, 0.039, 0.064])
     assert (last.name, last.next_name, np.isnan(last.next_m)) == ("lesion", "", True)
     assert match.state(0.0).offset_m == pytest.approx(0.0, abs=2e-4)
@@ -79,15 +77,34 @@ def test_where_the_surface_was_met_counts_for_half():
     # Organs move beneath a skin that lies where it was: two ruptures outvote it.
     beneath = match.state(0.039, [0.024, 0.039], contact_m=0.0)
     assert beneath.offset_m == pytest.approx(4e-3, abs=0.5e-3)
-    widths_m = [
-        np.ptp(match.interval_m(0.039, [0.024, 0.039], contact_m=contact_m))
-        for contact_m in (4e-3, None)
-    ]
-    assert widths_m[0] < widths_m[1]
     # The skin ruptures behind where it was met.
     shallow = PlanMatch(plan(8, 35), 5e-3)
     assert shallow.state(0.0085, [0.0085]).matched == 1
     assert shallow.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
+
+
+def test_the_surface_lies_off_with_the_plan_or_alone():
+    """Offsets after contact alone: half of Student's law, half of it times contact."""
+    std_m = 3e-3
+    grid_m = 0.1e-3 * np.arange(-150, 151)
+    contact_std_m = np.hypot(0.5e-3, 0.15e-3)
+    layers = plan(20, 35)
+    layers[0] = replace(layers[0], entry_std_m=0.5e-3)
+    for contact_m in (0.0, 2e-3, 6e-3):
+
+        def student(x_m, scale_m):
+            return stats.t.pdf(x_m / scale_m, 3) / scale_m
+
+        off = stats.norm.pdf(contact_m - grid_m, scale=contact_std_m)
+        alone = student(contact_m, np.hypot(contact_std_m, std_m))
+        weight = student(grid_m, std_m) * (0.5 * off + 0.5 * alone)
+        weight /= weight.sum()
+        median_m = np.interp(0.5, np.cumsum(weight) - 0.5 * weight, grid_m)
+        spread_m = np.sqrt(weight @ (grid_m - median_m) ** 2)
+        state = PlanMatch(layers, std_m).state(contact_m, contact_m=contact_m)
+
+        assert state.offset_m == pytest.approx(median_m, abs=2e-5)
+        assert state.offset_std_m == pytest.approx(spread_m, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -215,6 +232,3 @@ def test_depths_that_cannot_be_are_refused(bad_m):
     ):
         with pytest.raises(PlanError):
             match.state(depth_m, ruptures_m, **others)
-    for depth_m, level in ((bad_m, 0.95), (0.0, 1.5), (0.0, bad_m), (0.0, 0.0)):
-        with pytest.raises(PlanError):
-            match.interval_m(depth_m, level=level)

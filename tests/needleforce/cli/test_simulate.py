@@ -77,7 +77,7 @@ def test_recording_holds_the_robots_signals_alone(asked, run):
     wrench = [f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")]
 
     assert table.columns.keys() == {
-        *("t_s", *(f"/joint_states/{field}" for field in signals), *wrench)
+        *(*(f"/joint_states/{field}" for field in signals), *wrench)
     }
     assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
     for field, name in signals.items():

@@ -164,7 +164,7 @@ def test_mapping_is_printed_edited_and_read_back(run, lwr):
     assert tomllib.loads(text)["joints"] == list(lwr.joint_names)
     assert tomllib.loads(text)["payload"]["needle"]["needle_mass_kg"] == 0.068
 
-    Path("map.toml").write_text(text.replace("scale = 1.0  # -1.0", "scale = -1.0  #"))
+    Path("map.toml").write_text(text.replace("scale = 1.0 }", "scale = -1.0 }"))
     results = []
     for options in (
         ["log.csv", "-o", "a.npz", "--tare", "0:2.5"],

@@ -5,14 +5,12 @@ It speaks the protocol of libfranka, version 10, on loopback. A function for
 """
 
 import threading
-from multiprocessing.connection import Connection
-from typing import Any
 
 HOST = "127.0.0.7"
 """Of loopback, where no other test emulates a Franka."""
 
 
-def emulate_fr3(pipe: Connection, host: str = HOST) -> dict[str, Any]:
+def emulate_fr3(pipe, host=HOST):
     """Simulate an FR3 until something comes through the pipe."""
     import franky_sim
     from franky_sim.mujoco_simulator import MujocoSimulator

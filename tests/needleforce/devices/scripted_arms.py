@@ -22,7 +22,7 @@ import numpy as np
 from needleforce.devices import Fr3Arm, FrankaArm, FriArm, IiwaArm, UrArm, franka, ur
 from needleforce.devices.sunrise_messages import (
     MONITORING_KIND,
-    CommandMode,
+    POSITION_MODE,
     Quality,
     Session,
     message_type,
@@ -50,7 +50,7 @@ def iiwa_message(
     quality=Quality.EXCELLENT,
     period_ms=2,
     safety_stop=0,
-    mode=CommandMode.POSITION,
+    mode=POSITION_MODE,
     program_rad=(0.0,) * 7,
     **changes,
 ):

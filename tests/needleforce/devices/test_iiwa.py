@@ -1,18 +1,12 @@
 """An iiwa through FRI for Sunrise: messages of its controller, and the answers."""
 
 import socket
-from itertools import islice
 
 import numpy as np
 import pytest
 
-from needleforce.devices import IiwaArm
-from needleforce.devices.sunrise_messages import (
-    CommandMode,
-    Quality,
-    Session,
-    message_type,
-)
+from needleforce.devices import IiwaArm, LinkError
+from needleforce.devices.sunrise_messages import Quality, Session, message_type
 from tests.needleforce.devices.scripted_arms import iiwa_message
 
 GOLDEN_1 = bytes.fromhex(
@@ -110,8 +104,8 @@ def controller(box):
         yield Conversation(arm, box)
 
 
-@pytest.mark.parametrize(("data", "version"), [(GOLDEN_1, 1), (GOLDEN_2, 2)])
-def test_a_golden_message_is_read_and_answered(data, version, box):
+@pytest.mark.parametrize("data", [GOLDEN_1, GOLDEN_2])
+def test_a_golden_message_is_read_and_answered(data, box):
     with IiwaArm(port=0) as arm:
         arm.session = Session.COMMANDING_WAIT  # of a message before
         box.sendto(data, arm.address)
@@ -124,7 +118,6 @@ def test_a_golden_message_is_read_and_answered(data, version, box):
     assert reading.external_Nm.tolist() == [-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0]
     assert (reading.dq_rad_s, reading.dt_s) == (None, 0.002)
     assert reading.accepts_commands
-    assert (arm.version, arm.stamp_s) == (version, 1_700_000_000.25)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -162,7 +155,6 @@ def broken(place, value):
         broken(5, 0x90),  # kind
         iiwa_message(session=5),
         iiwa_message(quality=4),
-        iiwa_message(mode=5),
         iiwa_message(period_ms=101),
         iiwa_message(place_rad=[np.nan] * 7),
         iiwa_message(place_rad=[0.0] * 6),
@@ -180,15 +172,15 @@ def test_what_is_no_message_is_refused(data, box):
 
 def test_bytes_that_are_broken_do_no_harm(box):
     rng = np.random.default_rng(0)
-    with IiwaArm(port=0) as arm:
+    with IiwaArm(port=0, give_up_s=0.3) as arm:
         for _ in range(100):
             data = bytearray(GOLDEN_1)
             for place in rng.integers(0, len(data), 3):
                 data[place] = rng.integers(256)
             box.sendto(data[: rng.integers(len(data) // 2, 2 * len(data))], arm.address)
-        for count in range(40):
-            box.sendto(iiwa_message(count), arm.address)
-        readings = list(islice(arm, 20))
+        readings = []
+        with pytest.raises(LinkError):
+            readings.extend(arm)
 
     assert all(np.isfinite(reading.q_rad).all() for reading in readings)
     assert arm.report.malformed > 50
@@ -199,7 +191,7 @@ def test_bytes_that_are_broken_do_no_harm(box):
     [
         {"quality": Quality.FAIR},
         {"safety_stop": 1},
-        {"mode": CommandMode.NONE},
+        {"mode": 0},
     ],
 )
 def test_an_interruption_moves_nothing_and_is_resumed_from_rest(

@@ -184,7 +184,7 @@ def test_a_killed_recording_keeps_what_has_come(tmp_path, suffix, port):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_full_disk_says_how_much_the_file_holds(tmp_path, suffix):
+def test_a_full_disk_is_an_error_and_a_growing_recording_kept(tmp_path, suffix):
     path = tmp_path / f"x.{suffix}"
     old_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     old_handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -192,7 +192,7 @@ def test_a_full_disk_says_how_much_the_file_holds(tmp_path, suffix):
     random = np.random.default_rng(0)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, old_limits[1]))
-        with pytest.raises(FileAccessError) as caught:
+        with pytest.raises(FileAccessError):
             put_all(
                 recorder,
                 (
@@ -203,14 +203,9 @@ def test_a_full_disk_says_how_much_the_file_holds(tmp_path, suffix):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old_limits)
         signal.signal(signal.SIGXFSZ, old_handler)
-    held_s = float(str(caught.value).rpartition("; ")[2].split()[0])
 
-    if suffix in ("csv", "mcap"):
-        assert held_s > 0.2
-        assert rows_of(path) >= round(held_s / 1e-3)
-    else:
-        assert held_s == 0.0
-        assert not path.exists()
+    assert path.exists() == (suffix in ("csv", "mcap"))
+    assert rows_of(path) > 200 or not path.exists()
 
 
 def test_a_recorder_refuses_signals_that_come_and_go(tmp_path):

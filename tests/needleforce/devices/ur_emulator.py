@@ -10,20 +10,18 @@ import socketserver
 import struct
 import threading
 import time
-from dataclasses import dataclass
-from enum import IntEnum
-from multiprocessing.connection import Connection
-from typing import Any
+from contextlib import suppress
 
 import numpy as np
 
-from foundation.arrays import Array
 from needleforce.devices.datagram_link import LOOPBACK
 
-PORTS = {"dashboard": 29999, "script": 30003, "rtde": 30004}
+RATE_Hz = 500.0
+PATIENCE = 30.0
+"""Times the silence that the client asks for the watchdog bears: the machine that runs
+the test pauses, too."""
 
-RTDE_HEADER = struct.Struct(">HB")
-
+HEADER = struct.Struct(">HB")
 LAYOUTS = {"DOUBLE": "d", "VECTOR6D": "6d", "UINT32": "I", "INT32": "i"}
 """How values of RTDE are packed, big endian."""
 
@@ -33,42 +31,25 @@ SCALARS = {
     "robot_status_bits": "UINT32",
     "safety_status_bits": "UINT32",
 }
+SPEED_J, SPEED_STOP, WATCHDOG, STOP_SCRIPT = 9, 15, 35, 255
+"""What the client writes into the first integer register; 0: nothing."""
+
+DASHBOARD = {
+    b"polyscope": b"URSoftware 5.12.0.1101319 (Sep 04 2021)\n",
+    b"serial": b"20215599999\n",
+    b"stop": b"Stopped\n",
+}
 
 
-class Command(IntEnum):
-    """What the client writes into the first integer register."""
-
-    NONE = 0
-    SPEED_J = 9
-    SPEED_STOP = 15
-    WATCHDOG = 35
-    STOP_SCRIPT = 255
-
-
-@dataclass(frozen=True, kw_only=True)
-class ArmSettings:
-    """What the emulated arm sends: rows over and over, at a rate.
-
-    Its watchdog bears `patience` times the silence that the client asks for: the
-    machine that runs the test pauses, too.
-    """
-
-    q_rad: Array  # shape (m, 6)
-    dq_rad_s: Array
-    effort: Array  # currents [A]
-    rate_hz: float = 500.0
-    patience: float = 30.0
-
-
-def kind_of(name: str) -> str:
+def kind_of(name):
     """The type of a value of RTDE, by its name."""
     if "int_register" in name:
         return "INT32"
     return "DOUBLE" if "double_register" in name else SCALARS.get(name, "VECTOR6D")
 
 
-class _Controller:
-    """What the ports share.
+class Controller:
+    """What the ports share; it sends rows of position, velocity, current in turn.
 
     Attributes:
         moved_rad: How far the arm has been moved from where its rows say it is.
@@ -78,170 +59,137 @@ class _Controller:
         watchdog_ended: Whether it was ended since the client was silent.
     """
 
-    def __init__(self, settings: ArmSettings) -> None:
-        self.settings = settings
-        self._lock = threading.Lock()
-        self._heard_s = time.monotonic()
-        self.watchdog_Hz = 0.0  # as the client asks for it
-        self._wish_rad_s = np.zeros(6)
-        self._max_step_rad_s = 0.0
-        self._velocity_rad_s = np.zeros(6)
-        self._program_state = 1  # ready; 2: done
-        self.is_running = False
-        self.moved_rad = np.zeros(6)
-        self.stops = 0
+    def __init__(self, rows):
+        self.rows = rows
+        self.heard_s = time.monotonic()
+        self.watchdog_Hz = 0.0
         self.watchdog_ended = False
+        self.max_step_rad_s = 0.0
+        self.moved_rad = np.zeros(6)
+        self.program_state = 1  # ready; 2: done
+        self.stops = 0
+        self.end_program()
 
-    def run_cycle(self) -> None:
-        """Move the arm for one period, and look after the watchdog."""
-        with self._lock:
-            silent_s = time.monotonic() - self._heard_s
-            is_late = silent_s * self.watchdog_Hz > self.settings.patience
-            if self.is_running and is_late:
-                self.watchdog_ended = True
-                self.end_program()
-            change = self._wish_rad_s - self._velocity_rad_s
-            step = np.clip(change, -self._max_step_rad_s, self._max_step_rad_s)
-            self._velocity_rad_s = self._velocity_rad_s + step
-            moved_rad = self._velocity_rad_s / self.settings.rate_hz
-            self.moved_rad = self.moved_rad + moved_rad
-
-    def end_program(self) -> None:
-        """End the client's program; the arm stops at once."""
+    def end_program(self):
+        """The arm stops at once."""
         self.is_running = False
-        self._wish_rad_s = np.zeros(6)
-        self._velocity_rad_s = np.zeros(6)
+        self.wish_rad_s = np.zeros(6)
+        self.velocity_rad_s = np.zeros(6)
 
-    def take_input(self, values: list[float]) -> None:
+    def run_cycle(self):
+        """Move the arm for one period, and look after the watchdog."""
+        silent_s = time.monotonic() - self.heard_s
+        if self.is_running and silent_s * self.watchdog_Hz > PATIENCE:
+            self.watchdog_ended = True
+            self.end_program()
+        change_rad_s = self.wish_rad_s - self.velocity_rad_s
+        step_rad_s = np.clip(change_rad_s, -self.max_step_rad_s, self.max_step_rad_s)
+        self.velocity_rad_s = self.velocity_rad_s + step_rad_s
+        self.moved_rad = self.moved_rad + self.velocity_rad_s / RATE_Hz
+
+    def take_input(self, values):
         """Take what a client has written: a command and its numbers."""
         command = int(values[0])
-        with self._lock:
-            self._heard_s = time.monotonic()
-            if command == Command.SPEED_J:
-                self._wish_rad_s = np.array(values[1:7])
-                self._max_step_rad_s = values[7] / self.settings.rate_hz
-            elif command == Command.SPEED_STOP:
-                self.stops += 1
-                self._wish_rad_s = np.zeros(6)
-            elif command == Command.WATCHDOG:
-                self.watchdog_Hz = values[1]
-            elif command == Command.STOP_SCRIPT:
-                self.end_program()
-            if command != Command.SPEED_J:  # others are over when the next may come
-                self._program_state = 1 if command == Command.NONE else 2
+        self.heard_s = time.monotonic()
+        if command == SPEED_J:
+            self.max_step_rad_s = values[7] / RATE_Hz
+            self.wish_rad_s = np.array(values[1:7])
+            return
+        if command == SPEED_STOP:
+            self.stops += 1
+            self.wish_rad_s = np.zeros(6)
+        elif command == WATCHDOG:
+            self.watchdog_Hz = values[1]
+        elif command == STOP_SCRIPT:
+            self.end_program()
+        self.program_state = 2 if command else 1
 
-    def output(self, name: str, number: int) -> bytes:
+    def output(self, name, number):
         """What an output of RTDE holds at a cycle."""
-        settings = self.settings
-        row = number % len(settings.q_rad)
+        q_rad, dq_rad_s, current_A = self.rows[:, number % self.rows.shape[1]]
+        known = {
+            "timestamp": [number / RATE_Hz],
+            "actual_q": q_rad + self.moved_rad,
+            "actual_qd": dq_rad_s + self.velocity_rad_s,
+            "actual_current": current_A,
+            "runtime_state": [1 + self.is_running],  # stopped, playing
+            "robot_status_bits": [1 + 2 * self.is_running],  # power, program
+            "output_int_register_0": [self.program_state],
+        }
         layout = LAYOUTS[kind_of(name)]
-        with self._lock:
-            known = {
-                "timestamp": [number / settings.rate_hz],
-                "actual_q": settings.q_rad[row] + self.moved_rad,
-                "actual_qd": settings.dq_rad_s[row] + self._velocity_rad_s,
-                "actual_current": settings.effort[row],
-                "runtime_state": [2 if self.is_running else 1],  # playing, stopped
-                "robot_status_bits": [1 + 2 * self.is_running],  # power, program
-                "output_int_register_0": [self._program_state],
-            }
         values = known.get(name, [0] * int(layout[:-1] or 1))
         return struct.pack(f">{layout}", *values)
 
+    def serve_dashboard(self, reader, writer):
+        """Answer what the client asks the dashboard."""
+        writer.write(b"Connected: Universal Robots Dashboard Server\n")
+        for request in reader:
+            asked = [word for word in DASHBOARD if word in request.lower()]
+            if asked == [b"stop"]:
+                self.end_program()
+            writer.write(DASHBOARD[asked[0]] if asked else b"true\n")
 
-class _Rtde:
-    """One client of RTDE."""
+    def serve_script(self, reader, _writer):
+        """Begin the client's program when all of it has come."""
+        for line in reader:
+            if b"NODE_CONTROL_LOOP_ENDS" in line:  # the last one
+                self.is_running = True
 
-    def __init__(self, reader: Any, writer: Any, controller: _Controller) -> None:
-        self._reader = reader
-        self._writer = writer
-        self._controller = controller
-        self._sending = threading.Lock()
-        self._outputs: list[str] = []
-        self._inputs: dict[int, list[str]] = {}
+    def serve_rtde(self, reader, writer):
+        """Answer a client of RTDE until it goes."""
+        outputs = []
+        inputs = {}
 
-    def serve(self) -> None:
-        """Answer the client until it goes."""
-        while header := self._reader.read(RTDE_HEADER.size):
-            size, kind = RTDE_HEADER.unpack(header)
-            self._answer(chr(kind), self._reader.read(size - RTDE_HEADER.size))
+        def send(kind, payload):
+            writer.write(HEADER.pack(HEADER.size + len(payload), ord(kind)) + payload)
 
-    def _send(self, kind: str, payload: bytes) -> None:
-        header = RTDE_HEADER.pack(RTDE_HEADER.size + len(payload), ord(kind))
-        with self._sending:
-            self._writer.write(header + payload)
+        while header := reader.read(HEADER.size):
+            size, number = HEADER.unpack(header)
+            kind = chr(number)
+            payload = reader.read(size - HEADER.size)
+            text = payload[8 if kind == "O" else 0 :].decode("latin-1").rstrip(",")
+            names = text.split(",")
+            answer = bytes([1])
+            if kind == "U":
+                values = struct.unpack(inputs[payload[0]], payload[1:])
+                self.take_input(values)
+                continue
+            if kind == "v":  # version of the controller
+                answer = struct.pack(">4I", 5, 12, 0, 0)
+            elif kind == "O":
+                outputs = names
+                answer += ",".join(map(kind_of, names)).encode()
+            elif kind == "I":
+                answer = bytes([len(inputs) + 1])
+                answer += ",".join(map(kind_of, names)).encode()
+                layout = "".join(LAYOUTS[kind_of(name)] for name in names)
+                inputs[len(inputs) + 1] = f">{layout}"
+            send(kind, answer)
+            if kind == "S":
+                threading.Thread(
+                    target=self.stream, args=(writer, send, outputs), daemon=True
+                ).start()
 
-    def _answer(self, kind: str, payload: bytes) -> None:
-        names = payload[8 if kind == "O" else 0 :].decode("latin-1").rstrip(",")
-        kinds = ",".join(kind_of(name) for name in names.split(",")).encode()
-        if kind == "v":  # version of the controller
-            self._send(kind, struct.pack(">4I", 5, 12, 0, 0))
-        elif kind == "O":
-            self._outputs = names.split(",")
-            self._send(kind, bytes([1]) + kinds)
-        elif kind == "I":
-            recipe = len(self._inputs) + 1
-            self._inputs[recipe] = names.split(",")
-            self._send(kind, bytes([recipe]) + kinds)
-        elif kind == "U":
-            inputs = self._inputs[payload[0]]
-            layout = "".join(LAYOUTS[kind_of(name)] for name in inputs)
-            self._controller.take_input(list(struct.unpack(f">{layout}", payload[1:])))
-        else:
-            self._send(kind, bytes([1]))
-        if kind == "S":
-            threading.Thread(target=self._stream, daemon=True).start()
-
-    def _stream(self) -> None:
+    def stream(self, writer, send, names):
         """Send the outputs in real time until the client goes."""
         begin_s = time.monotonic()
         number = 0
-        while not self._writer.closed:
-            t_s = number / self._controller.settings.rate_hz
-            time.sleep(max(begin_s + t_s - time.monotonic(), 0.0))
-            outputs = (self._controller.output(name, number) for name in self._outputs)
-            try:
-                self._send("U", bytes([1]) + b"".join(outputs))
-            except (OSError, ValueError):
-                return
-            number += 1
+        with suppress(OSError, ValueError):
+            while not writer.closed:
+                due_s = begin_s + number / RATE_Hz
+                time.sleep(max(due_s - time.monotonic(), 0.0))
+                outputs = [self.output(name, number) for name in names]
+                send("U", bytes([1]) + b"".join(outputs))
+                number += 1
 
 
-def _serve_dashboard(reader: Any, writer: Any, controller: _Controller) -> None:
-    """Answer what the client asks the dashboard."""
-    answers = {
-        b"polyscope": b"URSoftware 5.12.0.1101319 (Sep 04 2021)\n",
-        b"serial": b"20215599999\n",
-        b"stop": b"Stopped\n",
-    }
-    writer.write(b"Connected: Universal Robots Dashboard Server\n")
-    for request in reader:
-        asked = [word for word in answers if word in request.lower()]
-        if asked == [b"stop"]:
-            controller.end_program()
-        writer.write(answers[asked[0]] if asked else b"true\n")
-
-
-def _serve_script(reader: Any, _writer: Any, controller: _Controller) -> None:
-    """Take the client's program, and begin it when all of it has come."""
-    for line in reader:
-        if b"NODE_CONTROL_LOOP_ENDS" in line:  # the last one
-            controller.is_running = True
-
-
-def _serve_rtde(reader: Any, writer: Any, controller: _Controller) -> None:
-    _Rtde(reader, writer, controller).serve()
-
-
-def _open_port(port: int, controller: _Controller, serve: Any) -> None:
+def open_port(port, serve):
     """Serve every client of a port by a thread."""
 
     class Talk(socketserver.StreamRequestHandler):
-        def handle(self) -> None:
-            try:
-                serve(self.rfile, self.wfile, controller)
-            except OSError:
-                return
+        def handle(self):
+            with suppress(OSError):
+                serve(self.rfile, self.wfile)
 
     class Server(socketserver.ThreadingTCPServer):
         allow_reuse_address = True
@@ -251,23 +199,17 @@ def _open_port(port: int, controller: _Controller, serve: Any) -> None:
     threading.Thread(target=server.serve_forever, daemon=True).start()
 
 
-def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
+def emulate_ur(pipe, rows):
     """A controller that sends what clients ask for, and moves as they command."""
-    controller = _Controller(settings)
-    served = (_serve_dashboard, _serve_script, _serve_rtde)
-    for port, serve in zip(PORTS.values(), served, strict=True):
-        _open_port(port, controller, serve)
-    pipe.send({"port": PORTS["rtde"]})
-    begin_s = time.monotonic()
-    cycle = 0
+    controller = Controller(rows)
+    open_port(29999, controller.serve_dashboard)
+    open_port(30003, controller.serve_script)
+    open_port(30004, controller.serve_rtde)
+    pipe.send({})
+    due_s = time.monotonic()
     while not pipe.poll():
-        cycle += 1
-        time.sleep(max(begin_s + cycle / settings.rate_hz - time.monotonic(), 0.0))
+        due_s += 1.0 / RATE_Hz
+        time.sleep(max(due_s - time.monotonic(), 0.0))
         controller.run_cycle()
-    return {
-        "moved_rad": controller.moved_rad,
-        "stops": controller.stops,
-        "is_running": controller.is_running,
-        "watchdog_ended": controller.watchdog_ended,
-        "watchdog_Hz": controller.watchdog_Hz,
-    }
+    names = ("moved_rad", "stops", "is_running", "watchdog_ended", "watchdog_Hz")
+    return {name: getattr(controller, name) for name in names}

@@ -1,19 +1,14 @@
 """Bags as robots record them, whole or growing, and mappings in one line, for tests."""
 
 from pathlib import Path
-from struct import pack
 
 import numpy as np
-from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, DataEnd, Message, Schema
-from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from needleforce.recordings import ColumnMapping, ColumnSpec
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
-MAGIC = b"\x89MCAP0\r\n"
 START_NS = 1_700_000_000_123_456_789
 STEP_NS = 1_000_003
 
@@ -99,23 +94,6 @@ def data_file(folder):
     """Return the file of messages in a bag's folder."""
     (path,) = [path for path in Path(folder).iterdir() if path.name != "metadata.yaml"]
     return path
-
-
-HEADER = b"\x01" + pack("<QII", 8, 0, 0)
-END = b"\x0f" + pack("<QI", 4, 0)
-
-
-def without_chunks(folder):
-    """The same messages as a recorder writes them that makes no chunks."""
-    builder = RecordBuilder()
-    with data_file(folder).open("rb") as stream:
-        for record in StreamReader(stream).records:
-            if isinstance(record, Schema | Channel | Message):
-                record.write(builder)
-            if isinstance(record, DataEnd):
-                break
-
-    return MAGIC + HEADER + builder.end() + END
 
 
 def mapped(rate_hz=None, **channels):

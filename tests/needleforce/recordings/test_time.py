@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from needleforce.recordings import (
-    ColumnError,
+    CHANNELS,
+    ChannelRequest,
     ColumnMapping,
+    ColumnSpec,
     LogError,
+    MappingError,
+    Table,
     read_log,
     write_table,
 )
+from needleforce.recordings.log import log_of_table
+from needleforce.recordings.mapping import parse_column_spec
 from tests.needleforce.recordings.bag_samples import mapped
 
 ROWS = 400
@@ -107,23 +113,35 @@ def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("whole", "fraction"),
+    ("whole", "fraction", "factor", "time"),
     [
-        ("header.stamp.sec", "header.stamp.nanosec"),
-        ("timestamp_sec", "timestamp_nanosec"),
-        ("secs", "nsecs"),
+        ("header.stamp.sec", "header.stamp.nanosec", 1e9, None),
+        ("timestamp_sec", "timestamp_nanosec", 1e9, None),
+        ("secs", "nsecs", 1e9, None),
+        ("t.sec", "t.usec", 1e6, None),
+        ("a", "b", 1e3, "a:s+b:ms"),
     ],
 )
-def test_a_stamp_in_two_columns_is_refused(tmp_path, whole, fraction):
+def test_a_stamp_in_two_columns_is_their_sum(tmp_path, whole, fraction, factor, time):
     path = tmp_path / "log.csv"
-    columns = {whole: np.floor(T_S), fraction: T_S % 1.0, "force_N": FORCE_N}
+    fractions = np.round(factor * (T_S % 1.0))
+    columns = {whole: 1.7e9 + np.floor(T_S), fraction: fractions, "force_N": FORCE_N}
     write_table(path, columns)
-    for mapping in (None, mapped(time=whole)):
-        with pytest.raises(ColumnError, match=fraction):
-            read_log(path, mapping, required=["force"])
+    spec = parse_column_spec(time, CHANNELS["time"]) if time else None
+    log = read_log(path, mapped(time=spec) if spec else None, required=["force"])
 
-    log = read_log(path, ColumnMapping(rate_hz=100.0), required=["force"])
-    np.testing.assert_allclose(log.t_s, T_S)
+    assert log.start_ns == 1_700_000_000_000_000_000
+    np.testing.assert_allclose(log.t_s, T_S, atol=1e-12)
+    np.testing.assert_array_equal(log["force_N"], FORCE_N)
+
+
+def test_a_sum_has_a_unit_for_each_column():
+    spec = ColumnSpec(columns=("a", "b"), unit=("s",))
+    with pytest.raises(MappingError, match="time"):
+        log_of_table(
+            Table(columns={"a": T_S, "b": T_S, "f": T_S}),
+            ChannelRequest(mapped(time=spec)),
+        )
 
 
 def test_a_whole_stamp_beside_its_parts_is_taken(tmp_path):
@@ -132,3 +150,68 @@ def test_a_whole_stamp_beside_its_parts_is_taken(tmp_path):
     write_table(path, {"t": T_S, **parts, "force_N": FORCE_N})
 
     np.testing.assert_array_equal(read_log(path, required=["force"]).t_s, T_S)
+
+
+def test_rows_of_two_clocks_in_one_table_are_one_log(tmp_path):
+    is_force = np.arange(ROWS) % 3 != 0
+    depth_mm = 20.0 * T_S
+    rows = {
+        "t_s": T_S,
+        "depth_mm": np.where(is_force, np.nan, depth_mm),
+        "force_N": np.where(is_force, FORCE_N, np.nan),
+    }
+    path = tmp_path / "log.csv"
+    write_table(path, rows)
+    log = read_log(path, required=["depth", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S[is_force], atol=1e-9)
+    np.testing.assert_array_equal(log["force_N"], FORCE_N[is_force])
+    np.testing.assert_allclose(log["depth_m"][:-1], 0.02 * log.t_s[:-1], atol=1e-9)
+
+    pause = (T_S > 1.0) & (T_S < 1.5)
+    write_table(path, {**rows, "depth_mm": np.where(pause, np.nan, rows["depth_mm"])})
+    in_pause = (log.t_s > 1.0) & (log.t_s < 1.5)
+    depth_m = read_log(path, required=["depth", "force"])["depth_m"]
+    assert np.isnan(depth_m[in_pause]).all()
+
+
+def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
+    q_rad = np.column_stack([T_S, 2.0 * T_S])
+    shifted_s = T_S + 0.0004
+    folder = tmp_path / "run"
+    folder.mkdir()
+    files = {
+        "gel_7_Joint_Positions.dat": (T_S, q_rad),
+        "gel_7_Joint_Torques.dat": (shifted_s, 3.0 * q_rad + 5.0),
+        "gel_7_Force_Sensor.dat": (
+            T_S[:-9],
+            np.column_stack([0 * T_S, 0 * T_S, T_S])[:-9],
+        ),
+    }
+    for name, (t_s, values) in files.items():
+        np.savetxt(folder / name, np.column_stack([t_s, values]), delimiter=",")
+    log = read_log(folder, required=["q", "tau"], optional=["force"])
+
+    np.testing.assert_allclose(log.t_s, shifted_s, atol=1e-9)
+    np.testing.assert_allclose(log["tau_Nm"], 3.0 * q_rad + 5.0)
+    inner = slice(0, -10)
+    expected = np.column_stack([shifted_s, 2.0 * shifted_s])
+    np.testing.assert_allclose(log["q_rad"][inner], expected[inner], atol=1e-9)
+    np.testing.assert_allclose(log["force_N"][inner], shifted_s[inner], atol=1e-9)
+    assert np.isnan(log["force_N"][-9:]).all()
+
+    (folder / "gel_7_Joint_Torques.dat").write_text("0,1,2\n0,1,2\n0,1,2\n")
+    with pytest.raises(LogError):
+        read_log(folder, required=["q", "tau"])
+
+
+def test_files_with_headers_in_a_folder_need_no_layout(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_table(folder / "stage.csv", {"time_ms": 1e3 * T_S, "depth_mm": 20.0 * T_S})
+    write_table(folder / "cell.csv", {"time_s": T_S[1:-1], "force_N": FORCE_N[1:-1]})
+    log = read_log(folder, required=["depth", "force"])
+
+    np.testing.assert_allclose(log["depth_m"], 0.02 * T_S[1:-1])
+    np.testing.assert_array_equal(log["force_N"], FORCE_N[1:-1])
+    assert "stage" in log.warnings[0]

@@ -212,16 +212,13 @@ def test_estimates_are_a_wrench_and_numbers(path):
     assert axial == columns["axial_N"].tolist()
 
 
-def test_metadata_and_definitions_are_there(path):
-    columns = {k: v for k, v in joint_columns().items() if k != "dq_rad_s"}
-    write_table(path, columns)
+def test_definitions_are_there_and_joints_without_names_are_numbered(path):
+    write_table(path, {k: v for k, v in joint_columns().items() if k != "dq_rad_s"})
     with Reader(path) as bag:
         assert bag.message_count == 40
-        assert bag.duration == 19_000_001
         assert all(connection.msgdef.data for connection in bag.connections)
 
     (_, state), *_ = messages_of(path, "/joint_states")
-
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
 
@@ -230,9 +227,9 @@ def test_an_existing_bag_is_replaced_only_whole(path):
     write_table(path, estimate_columns(5))
     with open_table(path) as table:
         table.append(estimate_columns(20))
-        assert read_table(path).columns["t_s"].size == 5
+        assert read_table(path).columns["/needleforce/axial_N"].size == 5
 
-    assert read_table(path).columns["t_s"].size == 20
+    assert read_table(path).columns["/needleforce/axial_N"].size == 20
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 

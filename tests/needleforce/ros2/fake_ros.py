@@ -43,7 +43,6 @@ class Graph:
     def __init__(self):
         self.published = defaultdict(list)
         self.kinds = {}
-        self.kept = set()
         self.callbacks = defaultdict(list)
         self.waiting = []
         self.services = {}
@@ -76,8 +75,6 @@ def node_class(graph):  # noqa: C901 (one class)
 
         def create_publisher(self, kind, topic, quality):
             topic = topic.replace("~", "/needleforce")
-            if getattr(quality, "durability", None) is DurabilityPolicy.TRANSIENT_LOCAL:
-                graph.kept.add(topic)
             graph.kinds[topic] = kind.__name__
             return SimpleNamespace(
                 publish=lambda message: graph.put(topic, message),
@@ -111,9 +108,7 @@ def node_class(graph):  # noqa: C901 (one class)
             return SimpleNamespace(info=say, warning=say, error=say)
 
         def get_clock(self):
-            now = SimpleNamespace(nanoseconds=7 * 10**9)
-            now.to_msg = lambda: Message(sec=7, nanosec=0)
-            return SimpleNamespace(now=lambda: now)
+            return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=7 * 10**9))
 
         def get_fully_qualified_name(self):
             return "/needleforce"
@@ -178,7 +173,6 @@ def installed_ros(graph):
             "DurabilityPolicy": DurabilityPolicy,
             "QoSProfile": Message,
             "ReliabilityPolicy": ReliabilityPolicy,
-            "qos_profile_sensor_data": Message(),
         },
         "rclpy.task": {"Future": Message},
         "rclpy.wait_for_message": {"wait_for_message": wait_for_message},
@@ -186,10 +180,10 @@ def installed_ros(graph):
     modules = {name: ModuleType(name) for name in contents}
     for name, values in contents.items():
         vars(modules[name]).update(values)
-    for package in ("diagnostic", "geometry", "sensor", "std", "tf2"):
+    for package in ("diagnostic", "geometry", "sensor", "std"):
         modules[f"{package}_msgs"] = ModuleType(f"{package}_msgs")
         modules[f"{package}_msgs.msg"] = AnyType(f"{package}_msgs.msg")
-    for name in ("rcl_interfaces", "std_srvs", "lbr_fri_idl"):
+    for name in ("rcl_interfaces", "std_srvs"):
         modules[name] = ModuleType(name)
         modules |= {f"{name}.{kind}": AnyType(name) for kind in ("msg", "srv")}
     with pytest.MonkeyPatch.context() as patch:
@@ -202,5 +196,5 @@ def installed_ros(graph):
 
 def _forget_importers():
     """Let modules that bind rclpy be imported anew."""
-    for name in ("arm", "node", "parameters", "velocity_controller"):
+    for name in ("arm", "node", "parameters"):
         sys.modules.pop(f"needleforce.ros2.{name}", None)

@@ -138,7 +138,7 @@ def test_an_insertion_is_followed_by_the_node(arm):
     # At 500 Hz, until the layer is known.
     end = int(np.searchsorted(RUN.signals.t_s, RUN.truth.ruptures[-1].end_s + 4.0))
     signals = cut(RUN.signals, slice(0, end, 2))
-    reliable = ("--ros-args", "-p", "reliability:=reliable")
+    reliable = ("--ros-args", "-p", "reliable:=true")
     with subprocess.Popen(command("ros2", "--robot", "lwr", *reliable)) as node:
         try:
             described = arm.ask(
@@ -167,7 +167,9 @@ def test_an_insertion_is_followed_by_the_node(arm):
                 # No more wait in the node than its queue holds.
                 arm.wait_until(lambda row=row: row - len(wrenches) < 300)
             arm.wait_until(lambda: len(wrenches) == len(signals.t_s))
-            arm.wait_until(lambda: arm.answers["layers"])
+            arm.wait_until(
+                lambda: arm.answers["layers"] and arm.answers["layers"][-1].status
+            )
             assert arm.transit(SHUTDOWN)
             assert node.wait(30.0) == 0
         finally:
@@ -204,7 +206,7 @@ def test_an_insertion_is_followed_by_the_node(arm):
         "queue_depth:=0",
         "gain_per_s:=.nan",
         "gain_per_s:=70",
-        "reliability:=maybe",
+        "reliable:=maybe",
     ],
 )
 def test_a_node_with_a_wrong_parameter_does_not_start(setting):

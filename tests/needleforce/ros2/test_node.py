@@ -4,17 +4,15 @@ import json
 import sys
 import time
 from importlib import import_module
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import urdf
 from needleforce import InsertionSession
 from needleforce.cli import main
-from needleforce.insertion_events import session_events
 from needleforce.ros2 import MissingRosError, Ros2ParameterError, require_ros
-from needleforce.ros2.reports import EVENT_NUMBERS, layer_reports
-from needleforce.ros2.tip_frame import place_tip
+from needleforce.ros2.reports import layer_reports
 from tests.insertion_run import insert, short_run
 from tests.needleforce.ros2.fake_ros import Graph, Message, installed_ros
 from tests.needleforce.ros2.layouts import (
@@ -67,18 +65,13 @@ def state(at_s, names=JOINTS):
 def updates(monkeypatch):
     """Arguments of every update of a session."""
     given = []
+    original = InsertionSession.update
 
-    def watch(name):
-        original = getattr(InsertionSession, name)
+    def update(self, *arguments):
+        given.append(arguments)
+        return original(self, *arguments)
 
-        def update(self, *arguments):
-            given.append((name, *arguments))
-            return original(self, *arguments)
-
-        monkeypatch.setattr(InsertionSession, name, update)
-
-    watch("update")
-    watch("update_external_torque")
+    monkeypatch.setattr(InsertionSession, "update", update)
     return given
 
 
@@ -148,6 +141,27 @@ def test_a_node_that_is_not_active_passes_joint_states_by(graph, updates):
     assert (wrench.header.stamp.sec, wrench.header.stamp.nanosec) == (1, 10**6)
 
 
+def test_external_torques_are_joined_by_name(graph, monkeypatch):
+    joined = []
+    synchronizer = SimpleNamespace(registerCallback=joined.append)
+    filters = SimpleNamespace(
+        Subscriber=lambda *_, **__: None, TimeSynchronizer=lambda *_: synchronizer
+    )
+    monkeypatch.setitem(sys.modules, "message_filters", filters)
+    given = []
+    monkeypatch.setattr(
+        InsertionSession,
+        "update_external_torque",
+        lambda self, *arguments: given.append(arguments) or self.update(*arguments),
+    )
+    start(graph, external_torque_topic="/torques")
+    efforts_Nm = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    torque = Message(name=list(JOINTS[::-1]), effort=efforts_Nm[::-1])
+    joined[0](state(1.0), torque)
+
+    assert given[0][2].tolist() == efforts_Nm
+
+
 def test_an_arm_that_never_came_is_an_error_in_the_diagnostics(graph):
     start(graph)
     max(graph.timers.items())[1]()
@@ -181,104 +195,20 @@ def test_a_manager_gets_an_answer_where_no_description_comes(graph):
     assert "robot_state_publisher" in node.failure.advice
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"queue_deph": 4},
-        {"reliability": "maybe"},
-        {"external_torque_topic": "/a", "lbr_state_topic": "/b"},
-    ],
-)
-def test_parameters_that_cannot_be_are_refused_by_name(graph, parameters):
-    with pytest.raises(Ros2ParameterError, match=next(iter(parameters))):
-        start(graph, **parameters)
-
-
-# LBRState of lbr_fri_ros2_stack
-
-
-def lbr_state(stamp_ns):
-    """As lbr_fri_idl has it: arrays of seven, and the controller's time."""
-    return Message(
-        time_stamp_sec=stamp_ns // 10**9,
-        time_stamp_nano_sec=stamp_ns % 10**9,
-        measured_joint_position=np.arange(7.0),
-        measured_torque=np.full(7, 50.0),
-        external_torque=10.0 + np.arange(7.0),
-    )
-
-
-def test_the_node_takes_positions_and_external_torques_of_an_lbr(graph, updates):
-    start(graph, lbr_state_topic="/lbr/state")
-    graph.put("/lbr/state", lbr_state(1_000_000_002), lbr_state(1_005_000_002))
-    graph.deliver()
-    name, q_rad, dq_rad_s, torque_Nm, _ = updates[0]
-
-    assert name == "update_external_torque"
-    assert [round(given[-1], 6) for given in updates] == [0.0, 0.005]
-    assert q_rad.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert dq_rad_s is None
-    assert torque_Nm.tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
-    # The stamp is of the node's clock, which TF knows, not of the controller's.
-    assert graph.published["/needleforce/wrench"][-1].header.stamp.sec == 7
-    assert not graph.callbacks["/joint_states"]
-
-
-def test_an_lbr_has_seven_joints(graph):
-    with pytest.raises(Ros2ParameterError, match="6"):
-        start(graph, urdf.load_example("ur5e"), lbr_state_topic="/lbr/state")
-
-
-# Frame of the tip
-
-
-def test_the_tip_is_broadcast_from_the_flange_of_the_description(graph):
-    start(graph, urdf.load_lwr(payload=urdf.NeedleTool()))
-    [message] = graph.published["/tf_static"]
-    [transform] = message.transforms
-    move = transform.transform
-
-    assert "/tf_static" in graph.kept
-    assert transform.header.frame_id == "flange"
-    assert transform.child_frame_id == "needle_tip"
-    assert transform.header.stamp.sec == 7
-    tip_m = urdf.NeedleTool().tip_in_flange_m[2]
-    assert (move.translation.x, move.translation.y) == (0.0, 0.0)
-    assert move.translation.z == pytest.approx(tip_m)
-    assert (move.rotation.z, move.rotation.w) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize("broadcasts", [True, False])
-def test_the_tip_is_not_broadcast_where_tf_has_it(graph, broadcasts):
-    robot = urdf.load_lwr(payload=None if broadcasts else urdf.NeedleTool())
-    start(graph, robot, broadcast_tip=broadcasts)
-
-    assert not graph.published["/tf_static"]
-
-
-def test_a_tip_of_a_joint_is_on_the_link_that_the_joint_moves():
-    robot = urdf.load_urdf(
-        LWR, tool_frame="lwr_joint_7", tool_placement=(0.0, 0.02, 0.1)
-    )
-    tip = place_tip(robot, "tool")
-
-    assert tip.parent == "lwr_link_7"
-    assert tip.placement.translation.tolist() == pytest.approx([0.0, 0.02, 0.1])
+def test_a_parameter_that_does_not_exist_is_refused(graph):
+    with pytest.raises(Ros2ParameterError, match="queue_deph"):
+        start(graph, queue_deph=4)
 
 
 # Events, layers, services
 
 
 @pytest.mark.slow
-def test_an_insertion_is_events_numbers_and_layers(graph):
+def test_an_insertion_is_events_and_layers(graph):
     session = InsertionSession(short_run().robot)
     estimates = insert(session)
-    events = [event for estimate in estimates for event in session_events(estimate)]
     [layer] = layer_reports(session.layers)
 
-    assert [event.kind for event in events] == ["rupture", "layer", "layer"]
-    for event in events:
-        assert set(event.values) == set(EVENT_NUMBERS[event.kind])
     assert layer.name == "layer 1"
     assert float(layer.values["stiffness_N_per_m"]) > 0.0
     assert layer.values["is_final"] == "true"
@@ -287,11 +217,11 @@ def test_an_insertion_is_events_numbers_and_layers(graph):
     event = next(one for one in estimates if one.identification.rupture is not None)
     node._publish_events(event)  # its samples pass through the real node in test_in_ros
     [message] = graph.published["/needleforce/events"]
-    [number] = graph.published["/needleforce/rupture/depth_m"]
     values = {pair.key: pair.value for pair in message.status[0].values}
     assert message.status[0].name == "rupture"
-    assert number.data == pytest.approx(float(values["depth_m"]))
-    assert "/needleforce/rupture/depth_m" in graph.kept
+    assert float(values["depth_m"]) == pytest.approx(
+        event.identification.rupture.depth_m
+    )
 
 
 def test_an_insertion_begins_only_after_a_tare(graph):

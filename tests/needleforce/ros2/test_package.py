@@ -94,19 +94,13 @@ def launched(monkeypatch):
 
 
 def test_the_launch_file_starts_the_node_of_the_package(launched):
-    node = launched(joint_states="/arm/joint_states")
+    node = launched(urdf="arm.urdf", joint_states="/arm/joint_states")
 
     assert (node["package"], node["executable"]) == ("needleforce", "node")
-    assert node["arguments"] == ["--tool-frame", "needle_tip"]
+    assert node["arguments"] == ["--tool-frame", "needle_tip", "--urdf", "arm.urdf"]
     assert node["parameters"] == []
     assert ("joint_states", "/arm/joint_states") in node["remappings"]
-
-
-def test_the_launch_file_takes_a_description_and_parameters(launched):
-    node = launched(urdf="arm.urdf", tool_frame="tip", parameters="mine.yaml")
-
-    assert node["arguments"] == ["--tool-frame", "tip", "--urdf", "arm.urdf"]
-    assert node["parameters"] == ["mine.yaml"]
+    assert launched(parameters="mine.yaml")["parameters"] == ["mine.yaml"]
 
 
 def test_the_ros_package_has_what_ros_looks_for(monkeypatch):

@@ -1,6 +1,5 @@
 """A page in headless Chromium that is driven over the DevTools protocol."""
 
-import base64
 import itertools
 import json
 import subprocess
@@ -79,30 +78,6 @@ class OpenPage:
             deviceScaleFactor=1,
             mobile=False,
         )
-
-    def click(self, element):
-        """Press the mouse in the middle of an element, given as an expression."""
-        box = json.loads(
-            self.evaluate(f"JSON.stringify(({element}).getBoundingClientRect())")
-        )
-        place = {
-            "x": box["left"] + box["width"] / 2,
-            "y": box["top"] + box["height"] / 2,
-        }
-        for kind in ("mousePressed", "mouseReleased"):
-            self.call(
-                "Input.dispatchMouseEvent",
-                type=kind,
-                button="left",
-                clickCount=1,
-                **place,
-            )
-
-    def picture(self, path):
-        """Write what is seen as a PNG."""
-        reply = self.call("Page.captureScreenshot", format="png")
-        Path(path).write_bytes(base64.b64decode(reply["data"]))
-        return path
 
 
 @contextmanager
