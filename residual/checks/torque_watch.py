@@ -314,14 +314,15 @@ class TorqueWatch:
             self.jumps += 1
             self._settle(self.present_Nm)
             return
-        self._bound(steps)
+        if steps.is_jump or self.is_measuring:
+            self._bound(steps)
         newest_Nm = self.blocks_Nm[-2:].mean(axis=0)
         older_Nm = self.blocks_Nm[-BLOCKS_AFTER:-2].mean(axis=0)
         stays = self._is_same(rows, newest_Nm - older_Nm)
         if self.changed_s < (min_changed_s if stays else max_changed_s) - ROUNDING_S:
             return
         after_Nm = self.blocks_Nm[-BLOCKS_AFTER:].mean(axis=0)
-        if steps.is_one:
+        if self.is_measuring:
             # A needle's force changes by about a newton within the second of the
             # blocks.
             self._take_level(self.fit(rows, after_Nm - self.before_Nm, 1.0))

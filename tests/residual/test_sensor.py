@@ -304,13 +304,16 @@ class Raises:
 
 
 NO_SIGNAL = {
-    "finite": [np.r_[STILL[1:], np.nan], np.r_[np.inf, STILL[1:]]],
+    "finite": [
+        np.r_[STILL[1:], np.nan],
+        np.r_[np.inf, STILL[1:]],
+        np.array([None] * 7),
+    ],
     "shape": [STILL[:3], np.zeros((7, 2))],
     "array of numbers": [
         ["a"] * 7,
         STILL + 0j,
         np.zeros(7, dtype=bool),
-        np.array([None] * 7),
         np.ma.array(STILL, mask=[True] + [False] * 6),
         [10**400] * 7,
         Raises(),
