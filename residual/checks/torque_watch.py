@@ -161,6 +161,7 @@ class TorqueWatch:
             one it lasts until torques are where they were before the first jump.
         level_Nm2: Its covariance, shape (n, n).
         open_Nm: Sum of the torques in the block that is not full, shape (n,).
+        has_blocks: Whether a block has been full; the first one stands for all before.
         open_count: Number of these torques.
         open_s: Length of that block so far.
         learned_s: Time over which the usual changes were learned.
@@ -180,6 +181,7 @@ class TorqueWatch:
     level_Nm: Array
     level_Nm2: Array
     open_Nm: Array
+    has_blocks: bool = False
     open_count: int = 0
     open_s: float = 0.0
     learned_s: float = 0.0
@@ -250,9 +252,13 @@ class TorqueWatch:
         self.open_s += dt_s
         if self.open_s >= block_s - ROUNDING_S:
             mean_Nm = self.open_Nm / self.open_count
+            if not self.has_blocks:
+                self.has_blocks = True
+                self.learned_s = self.open_s
+                self._settle(mean_Nm)
             self._begin_block(np.vstack((self.blocks_Nm[1:], mean_Nm)))
         free = len(torque_Nm) - len(rows)
-        if free <= 0:
+        if free <= 0 or not self.has_blocks:
             return
         if self.changed_s > 0.0:
             self._follow(rows, dt_s)

@@ -128,6 +128,7 @@ def test_a_step_that_a_twisted_needle_makes_is_no_jump(step_Nm, is_jump):
 def watch_of(change_Nm, changed_s=0.0):
     """What has seen usual changes of 0.1 Nm, and then another."""
     watch = TorqueWatch.after_tare(np.zeros(7), np.full(7, 0.1**2 / 2.0))
+    watch.has_blocks = True
     watch.learned_s = 20.0
     watch.present_Nm = change_Nm.copy()
     watch.changed_s = changed_s

@@ -82,6 +82,7 @@ def estimate_of(deviation, clearances):
     return SimpleNamespace(
         time_s=1.0,
         depth_m=0.04,
+        depth_in_tissue_m=None,
         speed_m_s=0.0,
         status=SimpleNamespace(value="ok"),
         wrench=SimpleNamespace(axial=1.0, axial_std=0.1, message=""),
