@@ -26,7 +26,7 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     by_plan = float(off[1])
     corrected = float(off[2])
 
-    assert re.search(r"^CT +analytic torso.* voxels of 2, 2, 2 mm$", said, re.MULTILINE)
+    assert re.search(r"^CT +analytic torso.* voxels of .* mm$", said, re.MULTILINE)
     assert re.search(r"planned path .*lesion \d+ mm; target in the lesion\n", said)
     assert len(re.findall(r"^rupture \d", said, re.MULTILINE)) == int(off[3])
     assert by_plan == pytest.approx(abs(shift), abs=1.0)

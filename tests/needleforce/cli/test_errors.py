@@ -48,7 +48,7 @@ LOGS = {
     "cut.csv": "cannot be tared",
     "no_torque.csv": "tau",
     "early.npz": "--tare START:END",
-    "milli.npz": "rejected",
+    "milli.npz": "tared",
     "six.csv": "6 columns",
 }
 

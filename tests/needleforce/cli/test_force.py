@@ -233,19 +233,14 @@ def test_figure_is_written_for_every_mode(
     assert len(content) > 5_000
 
 
-def test_log_without_valid_row_has_figures_and_a_page(lwr, tmp_path, capsys):
+def test_a_joint_without_a_number_is_refused(lwr, tmp_path, capsys):
     columns = insertion(lwr, seconds=0.1)
     columns["q_rad"][:, 0] = np.nan
-    log = tmp_path / "$\\frac{$.npz"
+    log = tmp_path / "log.npz"
     write_table(log, columns)
-    path = tmp_path / "forces.png"
-    argv = ["force", str(log), "--no-tare", "--png", str(path)]
 
-    assert main([*argv, "--over", "time"]) == 0
-    assert path.is_file()
-    assert "no sample was valid" in capsys.readouterr().out
-    assert main(["report", argv[1], str(tmp_path / "page"), "--no-tare"]) == 0
-    assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
+    assert main(["force", str(log), "--no-tare"]) == 2
+    assert "joint 1" in capsys.readouterr().err
 
 
 def check(tmp_path, capsys, columns, *options):

@@ -127,13 +127,12 @@ def test_a_log_of_which_no_row_is_used_is_refused(needle, tmp_path, capsys):
     log = tmp_path / "log.csv"
     depth_m = needle["depth_m"].copy()
     force_N = needle["force_N"].copy()
-    depth_m[::2] = np.nan
-    force_N[1::2] = np.nan
+    depth_m[: len(depth_m) // 2] = np.nan
+    force_N[len(force_N) // 2 :] = np.nan
     write_table(log, {"t_s": needle["t_s"], "depth_m": depth_m, "force_N": force_N})
     for argv in (["identify", str(log)], ["report", str(log), str(tmp_path / "page")]):
         said = refusal(argv, capsys)
-        assert f"none of {len(depth_m)} rows" in said
-        assert f"{len(depth_m)} x not finite" in said
+        assert "depth_m" in said
     assert not (tmp_path / "page").exists()
 
 
@@ -234,7 +233,7 @@ def test_a_page_begins_with_what_was_found_and_ends_with_the_settings(pages):
     assert re.findall('<section id="([^"]+)"', page) == sections.split()
     sections = "figures channels identification"
     assert re.findall('<section id="([^"]+)"', alone) == sections.split()
-    assert f"<td>{SENSOR.gain_per_s:g}</td>" in page
+    assert f"<td>{SENSOR.gain_per_s}</td>" in page
     tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
     assert tables[0].group() == tables[1].group()
 

@@ -167,11 +167,7 @@ def guide_simulated_arm(plant, stiffness_N_per_m, way_m, seconds):
     """
     begin_s = STROKE_s + 0.2
     way = np.array((way_m, 0.0, 0.0))
-    hand = HandOnArm(
-        at="hub",
-        stiffness_N_per_m=stiffness_N_per_m,
-        path_m=lambda t_s: min(max(t_s - begin_s, 0.0) / seconds, 1.0) * way,
-    )
+    hand = HandOnArm(at="hub", stiffness_N_per_m=stiffness_N_per_m)
     arm = SimulatedArm(
         plant=plant, seed=1, contacts=[hand], duration_s=begin_s + seconds + 1.0
     )
@@ -192,6 +188,7 @@ def guide_simulated_arm(plant, stiffness_N_per_m, way_m, seconds):
         else:
             if not sensor.tared:
                 sensor.tare()
+                hand.path_m = lambda t_s: min((t_s - begin_s) / seconds, 1.0) * way
             noise_Nm = sensor.residual_std_Nm
             is_valid = wrench.status is Status.OK
             tasks = [
