@@ -308,11 +308,10 @@ def controller():
 
 def test_the_delay_of_an_arm_of_ros_2_is_measured(controller, capsys):
     arguments = ["lag", "ros2:/joint_states", "--robot", "lwr", "--yes", "--json"]
-    results = []
-    for _ in range(3):
-        # On a busy machine states stay away for 0.1 s, and a command is refused.
-        if main(arguments) == 0:
-            results.append(json.loads(capsys.readouterr().out))
+    # On a busy machine states stay away for 0.1 s, and a command is refused.
+    results = [
+        json.loads(capsys.readouterr().out) for _ in range(3) if main(arguments) == 0
+    ]
 
     def delay_ms(result):
         return np.median([joint["delay_ms"] for joint in result["joints"]])
