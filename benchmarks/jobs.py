@@ -73,6 +73,7 @@ class Job:
         seed: Of everything drawn; of real data, the number of the recording.
         data: Folder of recordings, for benchmarks that need it.
         report: Folder for the figures of the paper; None for none.
+        is_ours_only: Whether the published methods are left out of an insertion.
     """
 
     benchmark: str
@@ -81,6 +82,7 @@ class Job:
     seed: int = 0
     data: Path | None = None
     report: Path | None = None
+    is_ours_only: bool = False
 
     @property
     def scenario(self) -> str:

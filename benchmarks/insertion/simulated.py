@@ -47,7 +47,7 @@ def run(job: Job) -> Iterator[Figure]:
         yield from run_needle(job, chosen, is_drawn=job.benchmark in DRAWN)
         return
     run = simulate(chosen, job.plant, job.seed)
-    case = read_sensors(run)
+    case = read_sensors(run, ["ours"] if job.is_ours_only else tuple(METHODS))
     yield from simulated_metrics(case)
     if job.report is not None:
         draw_force(job, case.truth, case.readings)
@@ -186,8 +186,8 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
         on_ft.append(identify(session_signal(case, method, case.ft), truth, method))
         signal = session_signal(case, method, session.reading)
         on_virtual.append(identify(signal, truth, method, result=session.result))
-    on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
     if case.best_gain is not None:
+        on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
         on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
         signal = session_signal(case, "published-one-setting", case.best_gain)
         on_virtual.append(
