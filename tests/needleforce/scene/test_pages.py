@@ -2,13 +2,13 @@
 
 import errno
 import os
+import signal
 import threading
 import time
 from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -273,23 +273,15 @@ def test_a_loop_hands_ticks_to_a_page_process():
     assert not view._process.is_alive()
 
 
-def test_a_page_that_hangs_holds_no_loop_up(monkeypatch):
-    from needleforce.scene.live import LiveView
-
-    class Pipe:
-        def send_bytes(self, _):
-            threading.Event().wait(20.0)
-
-        def close(self):
-            pass
-
-    process = SimpleNamespace(join=lambda seconds: None, kill=lambda: None)
-    view = LiveView(process, Pipe(), "")
-    for k in range(3000):
-        view.put(tick(0.02 * k), HOME)
-
-    assert len(view._waiting) == 1000
-    view.close()
+@pytest.mark.slow
+def test_a_page_that_hangs_holds_no_loop_up():
+    with open_viewer(load_lwr(), port=8681) as view:
+        os.kill(view._process.pid, signal.SIGSTOP)
+        start_s = time.monotonic()
+        for k in range(3000):
+            view.put(tick(0.02 * k), HOME)
+        assert time.monotonic() - start_s < 2.0
+    assert not view._process.is_alive()
 
 
 @pytest.mark.slow
