@@ -1,7 +1,5 @@
 """An iiwa through FRI for Sunrise: messages of its controller, and the answers."""
 
-import socket
-
 import numpy as np
 import pytest
 
@@ -89,13 +87,6 @@ class Conversation:
             self.say()
             taken += self.arm.send([speed_rad_s] + [0.0] * 6)
         return taken
-
-
-@pytest.fixture
-def box():
-    with socket.socket(type=socket.SOCK_DGRAM) as box:
-        box.settimeout(10.0)
-        yield box
 
 
 @pytest.fixture

@@ -29,14 +29,6 @@ TORQUE = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
 EXTERNAL = (-1.0, -2.0, -3.0, -4.0, -5.0, -6.0, -7.0)
 
 
-@pytest.fixture
-def box():
-    """A controller's socket."""
-    with socket.socket(type=socket.SOCK_DGRAM) as box:
-        box.settimeout(10.0)
-        yield box
-
-
 def controller(arm, cycles, **settings):
     """A patient emulated controller of so many cycles."""
     return Emulator(

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -52,25 +52,16 @@ def arms(monkeypatch):
     return opened
 
 
-@contextmanager
-def controller(port, arms):
-    """An emulated controller that ends once 400 readings were used."""
-    rows = SIGNAL[None]
-    settings = FriSettings(port=port, q_rad=rows, tau_Nm=rows)
-    with Emulator(emulate_fri, settings) as emulator:
-
-        def stop():
-            deadline_s = time.monotonic() + 30.0
-            while time.monotonic() < deadline_s:
-                if arms and arms[0].report.used >= 400:
-                    break
-                time.sleep(0.01)
-            emulator.stop()
-
-        stopping = threading.Thread(target=stop, daemon=True)
-        stopping.start()
-        yield
-        stopping.join()
+def controller(port):
+    """An emulated controller of 1,500 cycles; few of them pass until one listens."""
+    settings = FriSettings(
+        port=port,
+        q_rad=SIGNAL[None],
+        tau_Nm=SIGNAL[None],
+        cycles=1500,
+        extra_wait_s=0.1,
+    )
+    return Emulator(emulate_fri, settings)
 
 
 @pytest.mark.slow
@@ -79,7 +70,7 @@ def test_a_lost_arm_is_an_error_and_the_recording_kept(
     suffix, port, arms, tmp_path, capsys
 ):
     path = tmp_path / f"x.{suffix}"
-    with controller(port, arms):
+    with controller(port):
         assert main(["record", f"fri:{port}", "-o", str(path)]) == 2
     said = capsys.readouterr().err.splitlines()
     log = read_log(path)
@@ -94,7 +85,7 @@ def test_a_lost_arm_is_an_error_and_the_recording_kept(
 
 @pytest.mark.slow
 def test_live_says_silence_at_once_and_ends_with_an_error(port, arms, capsys):
-    with controller(port, arms):
+    with controller(port):
         assert main(["live", f"fri:{port}"]) == 2
     said = capsys.readouterr().err.splitlines()
 
