@@ -1,4 +1,4 @@
-"""The errors of this package, counts of faults, and the limits of every format."""
+"""The errors of this package, and the words of their advice."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,10 +7,6 @@ from pathlib import Path
 from types import ModuleType
 
 from foundation.errors import NeedleforceError
-
-MAX_BYTES = 2 << 30
-"""Memory that a recording may take by default; a small damaged file can ask for any."""
-
 
 KNOWN_SUFFIX = (
     "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
@@ -83,22 +79,6 @@ class LogError(RecordingError, ValueError):
     )
 
 
-def require_size(size: int, limit: int, subject: str) -> None:
-    """Raise `FormatError` if something takes more bytes than `max_bytes` allows.
-
-    Args:
-        size: Bytes that it takes.
-        limit: Bytes that are allowed.
-        subject: What takes them; the message begins with it.
-    """
-    if size > limit:
-        raise FormatError(
-            f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
-            f"{limit / 1e6:.3g} MB",
-            "If the file is trusted, raise `max_bytes`.",
-        )
-
-
 def optional_library(module: str, user: str) -> ModuleType:
     """Import a library that may not be installed.
 
@@ -130,12 +110,6 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
         raise FileAccessError(
             f"cannot {verb} {name}: {error.strerror or error}"
         ) from error
-    except ValueError as error:
-        if "null" not in str(error):
-            raise
-
-        # The name has a NUL in it, which no file can have.
-        raise FileAccessError(f"cannot {verb} {str(name)!r}: {error}") from error
 
 
 def readable_path(path: str | Path) -> Path:

@@ -1,8 +1,7 @@
 """A log: channels in SI units, with one time stamp per row."""
 
 import fnmatch
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -38,9 +37,6 @@ from needleforce.recordings.time_stamps import (
     to_seconds,
     with_own_clocks,
 )
-
-SORTED_WITHIN_S = 1.0
-"""Rows of a file are sorted if they come no later than this after newer ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,25 +114,6 @@ class Log:
         """Time since the row before, infinite for the first, shape (n,)."""
         return np.diff(self.t_s, prepend=-np.inf)
 
-    def parts(self, row_count: int = 1 << 14) -> Iterator["LogRows"]:
-        """Yield consecutive rows, so many at a time; each overlaps no other."""
-        for start in range(0, len(self), row_count):
-            rows = slice(start, start + row_count)
-            yield LogRows(
-                t_s=self.t_s[rows],
-                dt_s=self.dt_s[rows],
-                channels={name: v[rows] for name, v in self.channels.items()},
-            )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LogRows:
-    """Consecutive rows of a log: stamps, time since the row before, and channels."""
-
-    t_s: Array
-    dt_s: Array
-    channels: Mapping[str, Array]
-
 
 def _read_only(name: str, values: ArrayLike) -> Array:
     """Return a read-only copy as float64; `LogError` if values are no numbers."""
@@ -179,9 +156,7 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         rows = np.arange(len(first))
         t_s = rows / request.mapping.rate_hz
     else:
-        within_s = request.mapping.sort_within_s
-        within_s = SORTED_WITHIN_S if within_s is None else within_s
-        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first, within_s)
+        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first)
         notes += time_notes
 
     channels = {key: values[rows] for key, values in measured.items()}
@@ -340,16 +315,6 @@ def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
     channel = request.channels["time"]
     spec = request.mapping.channels.get("time")
     columns = request.find(table, channel)
-    for fraction in table.columns if spec is None else ():
-        match = re.fullmatch(r"(?i)(.*?)(n|nano|u|micro)s(ec(ond)?s?)?", fraction)
-        whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?" if match else "(?!)"
-        seconds = next(filter(re.compile(whole).fullmatch, table.columns), "")
-        if match and seconds and (not columns or {seconds, fraction} & {*columns}):
-            unit = "ns" if match[2].lower().startswith("n") else "us"
-            return ChannelUnit(
-                "time", (seconds, fraction), ("s", unit), ("header", "header")
-            )
-
     if spec is not None and len(columns) > len(spec.patterns):
         raise several_fit(channel, columns)
     if not columns:

@@ -6,6 +6,7 @@ import gzip
 import io
 import re
 import warnings
+import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +17,7 @@ import pandas as pd
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.columnar import table_of_frame
-from needleforce.recordings.errors import FormatError, require_size
+from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import START_KEY, Table
 
 CSV_SUFFIXES = (
@@ -57,19 +58,18 @@ class _Start(NamedTuple):
     width: int
 
 
-def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> Table:
+def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
     """Read a text: perhaps lines above, a header, perhaps units, rows of numbers.
 
     Args:
         data: The file, plain or compressed with gzip.
         name: Of the file, for messages.
         knowledge: Names and units that are known.
-        max_bytes: The most memory that the text may take.
 
     Raises:
         FormatError: There is no table in it, or a quotation does not end.
     """
-    data = _in_utf8(data, name, max_bytes)
+    data = _in_utf8(data, name)
     head = data[: 1 << 20].decode("utf-8", "replace")
     lines = _lines_of_table(re.split(r"\r\n|\r|\n", head))[:400]
     texts = [line for _, line in lines]
@@ -124,20 +124,18 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
     )
 
 
-def _in_utf8(data: bytes, name: str, max_bytes: int) -> bytes:
+def _in_utf8(data: bytes, name: str) -> bytes:
     """Return a text in UTF-8, UTF-16 or Windows' encoding, perhaps packed, in UTF-8.
 
     Raises:
-        FormatError: It is damaged, or longer than allowed.
+        FormatError: It is damaged.
     """
     if data.startswith(b"\x1f\x8b"):
         try:
-            with gzip.open(io.BytesIO(data)) as file:
-                data = file.read(max_bytes + 1)
-        except (OSError, EOFError) as error:
+            data = gzip.decompress(data)
+        except (OSError, EOFError, zlib.error) as error:
             raise FormatError(f"{name}: damaged gzip ({error})") from error
 
-    require_size(len(data), max_bytes, f"{name}: its text")
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if is_wide else ("utf-8", "cp1252"):
         with suppress(UnicodeDecodeError):
