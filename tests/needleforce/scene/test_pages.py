@@ -215,7 +215,6 @@ def write_report(named, path):
         heading=named("heading"),
         anchor=named('anchor" onclick="'),
         paragraphs=(named("text"),),
-        command=named("command"),
         tables=(table,),
     )
     lead = (named("warning"),)
