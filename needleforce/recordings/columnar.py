@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -40,19 +41,13 @@ def read_npz(path: Path) -> Table:
     try:
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
-                try:
+                values = np.empty(0, dtype=object)
+                with suppress(ValueError):  # objects
                     values = archive[name]
-                except ValueError as error:  # objects
-                    notes.append(f"column {name!r} was left out: {error}")
-                    continue
-
+                is_signal = values.ndim in (1, 2) and values.size
                 if name == START_KEY and values.ndim == 0:
                     start_ns = int(values)
-                elif (
-                    values.ndim in (1, 2)
-                    and values.size
-                    and values.dtype.kind in "fiub"
-                ):
+                elif is_signal and values.dtype.kind in "fiub":
                     columns[name] = values
                 elif values.ndim:
                     kind = f"{values.dtype} {values.shape}"
@@ -230,11 +225,8 @@ def read_container(path: Path) -> Table:
         else:
             library = optional_library("scipy.io", "MATLAB files")
             arrays = _flat(library.loadmat(path, simplify_cells=True))
-    except (RecordingError, OSError) as error:
-        if isinstance(error, RecordingError) or error.errno:
-            raise
-
-        raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
+    except RecordingError:
+        raise
     except Exception as error:  # whatever damaged bytes make the library run into
         raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
 

@@ -49,8 +49,8 @@ class ColumnError(RecordingError, LookupError):
     """A column was not found, or more than one would fit."""
 
     usual_advice = (
-        "Give a name that the message lists, a pattern such as q_* or a unit "
-        "such as z:mm."
+        "Name the columns of the channel, on the command line or in the `mapping`: "
+        "names that the message lists, or a pattern such as q_*."
     )
 
 
@@ -58,8 +58,8 @@ class UnitError(RecordingError, ValueError):
     """The unit of a column is not known, or contradicted by names, rows or values."""
 
     usual_advice = (
-        "Give {channel} its `unit` in the `mapping`; a `scale` may stand for a "
-        "unit that is not known."
+        "Give the unit behind the names, as `NAMES:UNIT`, or as `unit` in the "
+        "`mapping`; a `scale` may stand for a unit that is not known."
     )
 
 

@@ -14,8 +14,6 @@ from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
-    advise_column,
-    advise_unit,
     describe_columns,
     read_units,
     several_fit,
@@ -282,8 +280,7 @@ def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]
         raise ColumnError(
             f"no column found for {names}; usual names of {channel.name} are "
             f"{', '.join(channel.spellings)}. Columns are: {table.describe()}"
-            f"{table.left_out()}",
-            advise_column(channel),
+            f"{table.left_out()}"
         )
     if not found:
         raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
@@ -417,7 +414,4 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     if large_count <= 0.05 * len(sizes):  # so few may be spikes
         return [f"{text}; rows beyond it: {large_count}"]
 
-    raise UnitError(
-        f"{text}. The file states no unit of {', '.join(channel.units)}",
-        advise_unit(channel, unit.columns),
-    )
+    raise UnitError(f"{text}. The file states no unit of {', '.join(channel.units)}")
