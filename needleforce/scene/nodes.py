@@ -285,15 +285,13 @@ class ForceArrow:
         self.arrow.visible = is_shown
         self.bar.visible = is_shown
         if is_shown:
-            band_N = 2.0 * (identification.tip_force_std_N or 0.0)
-            self.arrow.points = self._line(6e-3, 0.0, force_N)
-            self.bar.points = self._line(9e-3, force_N - band_N, force_N + band_N)
-
-    def _line(self, beside_m: float, start_N: float, end_N: float) -> Any:
-        """Return a line of two forces; tissue pushes the tip back."""
-        m_per_N = -25e-3
-        ends_m = [[beside_m, 0.0, m_per_N * force_N] for force_N in (start_N, end_N)]
-        return segments_of(np.array(ends_m))
+            m_per_N = -25e-3  # tissue pushes the tip back
+            tip_m = m_per_N * force_N
+            std_m = m_per_N * 2.0 * (identification.tip_force_std_N or 0.0)
+            arrow_m = [[6e-3, 0.0, 0.0], [6e-3, 0.0, tip_m]]
+            bar_m = [[9e-3, 0.0, tip_m - std_m], [9e-3, 0.0, tip_m + std_m]]
+            self.arrow.points = segments_of(np.array(arrow_m))
+            self.bar.points = segments_of(np.array(bar_m))
 
 
 def add_plan(server: Any, plan: PlanScene) -> None:

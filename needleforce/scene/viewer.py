@@ -25,7 +25,6 @@ from needleforce.scene.force_plots import ForcePlots
 from needleforce.scene.insertion_card import card_html
 from needleforce.scene.moment import FREE_PORT, Moment, SceneError
 from needleforce.scene.scan_slices import PIXELS, TITLES, PIXEL_m, draw_slices
-from needleforce.scene.time_line import TimeLine
 from needleforce.scene.words import (
     NOTE,
     describe_depth,
@@ -101,7 +100,8 @@ class Viewer:
     Attributes:
         url: Where the page is.
         marks: The ruptures shown, past and to come.
-        time: The time line.
+        slider: The time line.
+        live: Box that is set while the page follows the newest.
         unread_shapes: Why the arm's shapes cannot be read; it is shown as a line then.
 
     Raises:
@@ -168,7 +168,10 @@ class Viewer:
         gui.main_panel.dock_left()
         panel = gui.add_panel()
         with panel.add_tab("Insertion"):
-            self.time = TimeLine(gui, self.show)
+            self.slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+            self.slider.on_update(self._follow_hand)
+            self.live = gui.add_checkbox("live", True)
+            self._jumps = gui.add_folder("Ruptures: jump to", visible=False)
             self._plots = ForcePlots(gui)
             self._text = gui.add_html("")
         with panel.add_tab("What is what"):
@@ -220,7 +223,21 @@ class Viewer:
         ring.move(needle.tip_m + depth_m * needle.axis, needle.axis)
         text = describe_rupture(estimate)
         self.marks.append(Mark(estimate.time_s, rupture.layer, text, ring))
-        self.time.add_jump(estimate.time_s, label)
+        self._jumps.visible = True
+        with self._jumps:
+            button = self._server.gui.add_button(f"{estimate.time_s:.1f} s: {label}")
+        button.on_click(lambda _event: self.jump(estimate.time_s))
+
+    def jump(self, time_s: float) -> None:
+        """Show a time, and stop there."""
+        self.live.value = False
+        self.slider.value = round(time_s, 2)
+        self.show(time_s)
+
+    def _follow_hand(self, event: Any) -> None:
+        """Show the time that somebody has moved the time line to."""
+        if event.client is not None:  # by hand, not by the program
+            self.jump(self.slider.value)
 
     def show(self, time_s: float | None = None) -> None:
         """Show the state at a time, by default the newest."""
@@ -240,7 +257,7 @@ class Viewer:
 
     def follow(self) -> None:
         """Show the newest, unless somebody has moved the time line."""
-        if self.time.live.value:
+        if self.live.value:
             self.show()
 
     def open_recording(self) -> None:
@@ -248,9 +265,10 @@ class Viewer:
         if not self.moments:
             return
         start_s = self.moments[0].estimate.time_s
-        self.time.live.visible = False
-        self.time.set_span(start_s, self.moments[-1].estimate.time_s)
-        self.time.jump(start_s)
+        self.live.visible = False
+        self.slider.max = max(self.moments[-1].estimate.time_s, start_s + 0.01)
+        self.slider.min = start_s
+        self.jump(start_s)
 
     def _draw(self, index: int) -> None:
         """Draw the moment of an index, and what had happened until then."""
@@ -285,9 +303,9 @@ class Viewer:
             ruptures = [f"• {mark.text}" for mark in known]
             self._text.content = text_html(*ruptures, *describe_state(estimate))
             self._plots.draw(self.moments[: index + 1])
-            if self.time.live.value:
-                self.time.set_span(0.0, time_s)
-                self.time.slider.value = round(time_s, 2)
+            if self.live.value:
+                self.slider.max = max(time_s, 0.01)
+                self.slider.value = round(time_s, 2)
         if self._shown_s is None and self._path is None:
             self._place_camera(needle.tip_m)
 

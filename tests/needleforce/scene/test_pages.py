@@ -237,7 +237,7 @@ def test_the_page_is_used_in_a_browser():
                 ".find(b => b.innerText.startsWith('6.0 s: rupture 1')).click()"
             )
             assert page.wait_for(f"{text}.includes('rupture 1 at 12.0 mm')")
-            assert viewer.time.slider.value == 6.0
+            assert viewer.slider.value == 6.0
             page.evaluate(
                 "(() => { const s = document.querySelector('[role=slider]'); s.focus();"
                 "s.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home',"

@@ -203,16 +203,16 @@ def test_a_live_page_follows_and_a_recording_opens_at_its_start(open_page):
     page = open_page(PlanScene())
     page.append([moment(2.0), moment(3.0, 0.01)])
     page.follow()
-    assert page.time.slider.value == 3.0
-    page.time.jump(2.0)
+    assert page.slider.value == 3.0
+    page.jump(2.0)
     page.append([moment(4.0)])
     page.follow()
     assert page._shown_s == 2.0
 
     page.open_recording()
-    assert page.time.slider.value == 2.0
+    assert page.slider.value == 2.0
     assert page._shown_s == 2.0
-    assert not page.time.live.visible
+    assert not page.live.visible
 
 
 def test_the_ct_is_cut_at_the_target_until_the_needle_comes(open_page):
