@@ -81,12 +81,28 @@ def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
         )
 
     start = max(tables, key=lambda table: table.number_count)
-    names = [f"column_{number + 1}" for number in range(start.width)]
-    units: dict[str, str] = {}
-    notes = [f"there is no header; columns are called column_1 to {names[-1]}"]
-    if start.header >= 0:
-        names, units, notes = _names_and_units(texts, start, knowledge)
+    above = [_cells(line, start.delimiter) for line in texts[: start.first_row]]
+    heads = above[start.header :] if start.header >= 0 else []
+    header = max(heads, key=lambda cells: _count_names(cells, knowledge), default=[])
+    names = _unique_names(header, start.width)
+    notes = [
+        f"the header has {cell!r} twice, one as {name}"
+        for cell, name in zip(header, names, strict=False)
+        if cell not in ("", name)
+    ]
+    if not header:
+        notes = [f"there is no header; columns are called column_1 to {names[-1]}"]
 
+    rows = [row for row in heads if _is_row_of_units(row, knowledge)]
+    # Of LabVIEW, whose first column is the time.
+    rows += [["s", *row[1:]] for row in above if row[:1] == ["Y_Unit_Label"]]
+    units = {
+        name: cell.strip("()[]{}<> ")
+        for row in rows
+        if row is not header
+        for name, cell in zip(names, row, strict=False)
+        if cell.strip("- ")
+    }
     few_rows = "".join(texts[start.first_row :][:50])
     decimal = "."
     if start.delimiter != "," and re.search(r"\d,\d", few_rows):
@@ -203,36 +219,13 @@ def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
     return tables
 
 
-def _names_and_units(
-    lines: Sequence[str], start: _Start, knowledge: Knowledge
-) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return unique names of the columns, the units of a row below, and what is odd."""
-    texts = [
-        _cells(line, start.delimiter) for line in lines[start.header : start.first_row]
-    ]
-    header = max(texts, key=lambda cells: _count_names(cells, knowledge))
+def _unique_names(header: Sequence[str], width: int) -> list[str]:
+    """Return a name for each of so many columns, `column_3` where there is none."""
     names: list[str] = []
-    notes: list[str] = []
-    for number, cell in enumerate([*header, *[""] * start.width][: start.width], 1):
-        if cell in names:
-            notes.append(f"the header has {cell!r} twice, one as column_{number}")
-
+    for number, cell in enumerate([*header, *[""] * width][:width], 1):
         names.append(cell if cell and cell not in names else f"column_{number}")
 
-    rows = [row for row in texts if _is_row_of_units(row, knowledge)]
-    rows += [  # of LabVIEW, whose first column is the time
-        ["s", *_cells(line, start.delimiter)[1:]]
-        for line in lines[: start.header]
-        if line.startswith("Y_Unit_Label\t")
-    ]
-    units = {
-        name: cell.strip("()[]{}<> ")
-        for row in rows
-        if row is not header
-        for name, cell in zip(names, row, strict=False)
-        if cell.strip("- ")
-    }
-    return names, units, notes
+    return names
 
 
 def _count_names(cells: Iterable[str], knowledge: Knowledge) -> int:
