@@ -54,7 +54,6 @@ class LiveView(AbstractContextManager[Any]):
 
     def close(self) -> None:
         """End the page and its process."""
-        self._moments.cancel_join_thread()
         self._process.kill()
         self._process.join()
 
@@ -72,6 +71,7 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
     """
     context = multiprocessing.get_context("spawn")
     moments = context.Queue(MAX_WAITING)
+    moments.cancel_join_thread()  # what waits for a page that hangs holds no exit up
     pipe, other_end = context.Pipe()
     process = context.Process(
         target=_serve, args=(other_end, moments, robot, plan, settings), daemon=True

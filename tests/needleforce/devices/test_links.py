@@ -115,24 +115,6 @@ def test_a_silence_is_reported_while_it_lasts_and_is_in_the_next_reading():
     assert arm.report.longest_gap_s == gap.dt_s
 
 
-@pytest.mark.slow
-def test_commands_need_command_mode():
-    with (
-        FriArm(port=0) as arm,
-        controller(arm, 600, command_from_s=0.2) as emulator,
-    ):
-        accepted = []
-        for reading in islice(arm, 600):
-            accepted.append(reading.accepts_commands)
-            arm.send(np.full(7, 0.05))
-        counts = emulator.counts()
-
-    assert not any(accepted[:190])
-    assert all(accepted[220:])
-    moved_rad = counts["commanded_rad"] - ROWS[0]
-    assert moved_rad == pytest.approx(0.05 * sum(accepted) * 1e-3, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("state", "quality", "error", "accepts"),
     [
