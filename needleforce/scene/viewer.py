@@ -140,6 +140,7 @@ class Viewer:
         self._nearest = nodes.add_line(
             server, "/nearest", np.zeros((2, 3)), nodes.NEAREST_COLOR, 3.0
         )
+        self._nearest.visible = False
         self._force = nodes.ForceArrow(server)
         self._expected = nodes.Ring(
             server, f"{nodes.NEEDLE}/expected", nodes.EXPECTED_COLOR, ""
@@ -221,6 +222,7 @@ class Viewer:
         ring = nodes.Ring(self._server, name, nodes.RUPTURE_COLOR, label)
         depth_m = rupture.depth_m - estimate.depth_m
         ring.move(needle.tip_m + depth_m * needle.axis, needle.axis)
+        ring.show(False)  # until its time is shown
         text = describe_rupture(estimate)
         self.marks.append(Mark(estimate.time_s, rupture.layer, text, ring))
         self._jumps.visible = True

@@ -65,8 +65,8 @@ def test_ruptures_are_shown_from_their_time_on(open_page):
         page.show(time_s)
         assert shown_marks(page) == [is_shown]
 
-    page.append([moment(11.0, 0.021, rupture=2)])  # while somebody looks at the past
     page.show(1.0)
+    page.append([moment(11.0, 0.021, rupture=2)])  # while somebody looks at the past
     assert shown_marks(page) == [False, False]
     needle = page._arm.find_needle(HOME)
     page.append([moment(12.0, 0.05, retracted=2)])
