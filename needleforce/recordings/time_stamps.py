@@ -292,5 +292,6 @@ def _no_times(fault: str) -> LogError:
     return LogError(
         f"time: {fault}, so they do not tell when a sample was measured",
         "If the samples are even, give their rate: --rate HZ, `rate_hz` in the "
-        "mapping; else write stamps of the source with all digits.",
+        "mapping; a stamp in two columns is --time sec:s+nanosec:ns; else write stamps "
+        "of the source with all digits.",
     )
