@@ -16,6 +16,7 @@ from needleforce.recordings.errors import (
     FormatError,
     RecordingError,
     optional_library,
+    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
 from needleforce.recordings.time_stamps import (
@@ -40,6 +41,8 @@ def read_npz(path: Path) -> Table:
     start_ns = 0
     try:
         with np.load(path, allow_pickle=False) as archive:
+            size = sum(member.file_size for member in archive.zip.infolist())
+            require_size(size, f"{path}: its arrays")
             for name in archive.files:
                 values = np.empty(0, dtype=object)
                 with suppress(ValueError):  # objects
@@ -52,7 +55,7 @@ def read_npz(path: Path) -> Table:
                 elif values.ndim:
                     kind = f"{values.dtype} {values.shape}"
                     notes.append(f"column {name!r} was left out: {kind}")
-    except OSError:
+    except (OSError, FormatError):
         raise
     except Exception as error:  # whatever numpy and zipfile run into
         raise FormatError(
@@ -72,7 +75,13 @@ def read_arrow(path: Path) -> Table:
     arrow = optional_library("pyarrow", "Parquet and Feather files")
     reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
     try:
+        if kind == "parquet":  # whose size is known before it is unpacked
+            about = reader.ParquetFile(path).metadata
+            groups = map(about.row_group, range(about.num_row_groups))
+            size = sum(group.total_byte_size for group in groups)
+            require_size(size, f"{path}: what it holds")
         content = reader.read_table(path, use_threads=False)
+        require_size(content.nbytes, f"{path}: what it holds")
         table = table_of_frame(content.to_pandas(ignore_metadata=True))
     except (arrow.ArrowException, UnicodeDecodeError) as error:
         raise FormatError(
@@ -245,6 +254,7 @@ def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, library.Dataset) and item.ndim in (1, 2):
+            require_size(item.nbytes, f"{path}: {name}")
             values = item[()]
             values = values.T if is_matlab else values
             arrays[name] = values[:, 0] if values.shape[1:] == (1,) else values

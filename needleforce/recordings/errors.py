@@ -79,6 +79,20 @@ class LogError(RecordingError, ValueError):
     )
 
 
+MAX_BYTES = 2 << 30
+"""Most memory that a packed file's content may take: a bomb takes all there is."""
+
+
+def require_size(size: int, subject: str) -> None:
+    """Raise `FormatError` if something takes more bytes than `MAX_BYTES`."""
+    if size > MAX_BYTES:
+        raise FormatError(
+            f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
+            f"{MAX_BYTES / 1e6:.3g} MB",
+            "Unpack it, and read the part that is needed.",
+        )
+
+
 def optional_library(module: str, user: str) -> ModuleType:
     """Import a library that may not be installed.
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from needleforce.recordings import errors
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.columnar import table_of_frame
@@ -148,10 +149,12 @@ def _in_utf8(data: bytes, name: str) -> bytes:
     """
     if data.startswith(b"\x1f\x8b"):
         try:
-            data = gzip.decompress(data)
+            with gzip.open(io.BytesIO(data)) as file:
+                data = file.read(errors.MAX_BYTES + 1)
         except (OSError, EOFError, zlib.error) as error:
             raise FormatError(f"{name}: damaged gzip ({error})") from error
 
+        errors.require_size(len(data), f"{name}: its text")
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if is_wide else ("utf-8", "cp1252"):
         with suppress(UnicodeDecodeError):

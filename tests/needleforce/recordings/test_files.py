@@ -1,7 +1,9 @@
 """Binary files: npz and Parquet, damage, limits, and files that are not read."""
 
+import gzip
 import io
 import sys
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -220,6 +222,34 @@ def test_damaged_bytes_are_read_or_refused(tmp_path_factory, suffix, where, byte
         assert read_table(path).columns
     except (FormatError, FileAccessError):
         return
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "npz", "h5", "csv.gz"])
+def test_what_unpacks_beyond_the_limit_is_refused_within_it(
+    tmp_path, monkeypatch, suffix
+):
+    writers = {
+        "parquet": lambda x: pq.write_table(pa.table({"t": x}), path),
+        "npz": lambda x: np.savez_compressed(path, t=x),
+        "h5": lambda x: h5py.File(path, "w").create_dataset(
+            "t", data=x, compression="gzip"
+        ),
+        "csv.gz": lambda x: path.write_bytes(gzip.compress(b"0,1\n" * x.size)),
+    }
+    path = tmp_path / f"x.{suffix}"
+    writers[suffix](np.zeros(9))
+    read_table(path)  # imports take memory, too
+    writers[suffix](np.zeros(1 << 21))
+    limit = 1 << 20
+    assert path.stat().st_size < limit
+    monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", limit)
+
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="limit"):
+        read_table(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4 * limit
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
