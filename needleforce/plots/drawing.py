@@ -13,7 +13,7 @@ from needleforce.files import whole_file
 from needleforce.plots.errors import (
     ChartError,
     MissingExtraError,
-    WriteError,
+    write_errors,
 )
 
 if TYPE_CHECKING:
@@ -179,9 +179,6 @@ def write_file(path: str | Path, content: bytes) -> Path:
     Raises:
         WriteError: The file cannot be written.
     """
-    try:
-        with whole_file(path) as file:
-            file.write(content)
-    except OSError as error:
-        raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
+    with write_errors(f"cannot write {path}"), whole_file(path) as file:
+        file.write(content)
     return Path(path)

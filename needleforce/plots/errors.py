@@ -1,5 +1,8 @@
 """Errors of the package."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from foundation.errors import NeedleforceError
 
 
@@ -23,3 +26,12 @@ class WriteError(FiguresError, OSError):
     """A file cannot be written, or a figure that a page needs cannot be read."""
 
     usual_advice = "Give a place that can be written to, with room on the disk."
+
+
+@contextmanager
+def write_errors(fault: str) -> Iterator[None]:
+    """Turn what the operating system reports into a `WriteError` about a fault."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(f"{fault}: {error.strerror or error}") from error

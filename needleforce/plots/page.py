@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from needleforce.plots.drawing import printable, write_file
-from needleforce.plots.errors import WriteError
+from needleforce.plots.errors import write_errors
 
 PAGE = "index.html"
 """Name of the page in the folder of a report."""
@@ -61,7 +61,6 @@ class Section:
         anchor: Its id within the page.
         paragraphs: Its text.
         notices: Text that must not be overlooked.
-        command: A command as typed; empty for none.
         figures: Its figures, side by side where there is room.
         tables: Its tables.
         legend: CSS of a sample of a colour, and what it stands for.
@@ -71,7 +70,6 @@ class Section:
     anchor: str
     paragraphs: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
-    command: str = ""
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
     legend: tuple[tuple[str, str], ...] = ()
@@ -89,7 +87,6 @@ class Page:
         sections: Its sections, listed above where there are at least three.
         scene: A page of its own that stands in a frame above the sections; empty for
             none.
-        card: HTML that stands above the scene; what it quotes is escaped.
         policy: What the page and its scene may run and fetch.
     """
 
@@ -99,7 +96,6 @@ class Page:
     tables: tuple[PageTable, ...] = ()
     sections: tuple[Section, ...] = ()
     scene: str = ""
-    card: str = ""
     policy: str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
     def html(self) -> str:
@@ -134,12 +130,8 @@ def _data_uri(picture: Path | bytes) -> str:
     """
     content = picture
     if isinstance(content, Path):
-        try:
+        with write_errors(f"cannot read {picture}"):
             content = content.read_bytes()
-        except OSError as error:
-            raise WriteError(
-                f"cannot read {picture}: {error.strerror or error}"
-            ) from error
     kind = "png" if content.startswith(b"\x89PNG") else "svg+xml"
     return f"data:image/{kind};base64,{b64encode(content).decode()}"
 

@@ -51,11 +51,11 @@ def draw_along(
     across_m = np.arange(-0.08, 0.08, PIXEL_m)
     length_mm = M_TO_MM * path.length_m
     figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
-    structures: list[Structure] = []
+    rows_m = path.entry_m + along_m[:, None] * axis
+    outlined: list[Structure] = []
     for axes, direction in zip(panels, (side, up), strict=True):
-        points_m = path.entry_m + _span(along_m, axis, across_m, direction)
-        extent_m = (across_m[0], across_m[-1], along_m[-1], along_m[0])
-        structures += _draw_plane(axes, scan, labels, points_m, extent_m)
+        points_m = rows_m[:, None] + across_m[:, None] * direction
+        outlined += _draw_plane(axes, scan, labels, points_m, along_m, across_m)
         axes.plot([0.0, 0.0], [-M_TO_MM * before_m, length_mm], color=PATH_COLOUR)
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
         exits_mm = [M_TO_MM * layer.exit_m for layer in path.layers[:-1]]
@@ -66,7 +66,7 @@ def draw_along(
             axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
         _write_sides(axes, {(0.04, 0.5): -direction, (0.96, 0.5): direction})
         axes.set(xlabel="beside the path [mm]", ylabel="depth below the entry [mm]")
-    return _save(figure, structures, place)
+    return _save(figure, outlined, place)
 
 
 def draw_probe_view(
@@ -85,29 +85,21 @@ def draw_probe_view(
     from matplotlib.patches import Circle
 
     axis, side, up = NeedleView.along((path.target_m - path.entry_m) / path.length_m)
-    half_m = 0.045  # half the edge of a slice
-    span_m = np.arange(-half_m, half_m, PIXEL_m)
+    span_m = np.arange(-0.045, 0.045, PIXEL_m)
     figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
-    structures: list[Structure] = []
+    outlined: list[Structure] = []
     depths_m = np.linspace(0.0, path.length_m, panels.size)
     for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
-        points_m = path.entry_m + depth_m * axis + _span(-span_m, up, span_m, side)
-        extent_m = (-half_m, half_m, -half_m, half_m)
-        structures += _draw_plane(axes, scan, labels, points_m, extent_m)
+        rows_m = path.entry_m + depth_m * axis - span_m[:, None] * up
+        points_m = rows_m[:, None] + span_m[:, None] * side
+        outlined += _draw_plane(axes, scan, labels, points_m, -span_m, span_m)
         free = Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
         axes.add_patch(free)
         axes.plot(0.0, 0.0, "+", color=PATH_COLOUR)
         _write_sides(axes, {(0.04, 0.5): -side, (0.96, 0.5): side})
         _write_sides(axes, {(0.5, 0.97): up, (0.5, 0.03): -up})
         axes.set(title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="[mm]", ylabel="[mm]")
-    return _save(figure, structures, place)
-
-
-def _span(
-    rows_m: Array, row_axis: Array, columns_m: Array, column_axis: Array
-) -> Array:
-    """Return the points of a plane through the origin, shape (rows, columns, 3)."""
-    return rows_m[:, None, None] * row_axis + columns_m[:, None] * column_axis
+    return _save(figure, outlined, place)
 
 
 def _write_sides(axes: Any, directions: dict[tuple[float, float], Array]) -> None:
@@ -134,7 +126,8 @@ def _draw_plane(
     scan: Volume,
     labels: Labels,
     points_m: Array,
-    extent_m: tuple[float, ...],
+    rows_m: Array,
+    columns_m: Array,
 ) -> list[Structure]:
     """Draw a plane of the CT with the outlines of structures; return these.
 
@@ -143,36 +136,34 @@ def _draw_plane(
         scan: The CT.
         labels: The segmentation.
         points_m: Of its pixels, shape (rows, columns, 3).
-        extent_m: Left, right, bottom and top of the picture.
+        rows_m: Where rows lie in the picture, shape (rows,).
+        columns_m: Where columns lie in it, shape (columns,).
     """
-    air_HU = -1000.0  # outside the scan
     min_pixels = 40  # of an outline
     # The CT shows these, and they surround everything.
     plain = ("fat", "lean", "body", "skin")
-    left_mm, right_mm, bottom_mm, top_mm = M_TO_MM * np.array(extent_m)
+    rows_mm = M_TO_MM * rows_m
+    columns_mm = M_TO_MM * columns_m
     index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
-    values_HU = np.empty(index.shape[1:])
-    ndimage.map_coordinates(scan.values, index, output=values_HU, order=1, cval=air_HU)
+    air_HU = -1000.0  # outside the scan
     axes.imshow(
-        values_HU,
+        ndimage.map_coordinates(scan.values, index, float, order=1, cval=air_HU),
         cmap="gray",
         vmin=-160.0,  # HU: from black to white, soft tissue
         vmax=240.0,
-        extent=(left_mm, right_mm, bottom_mm, top_mm),
+        extent=(*columns_mm[[0, -1]], *rows_mm[[-1, 0]]),
         aspect="equal",
     )
     index = np.moveaxis(np.rint(labels.grid.indices(points_m)).astype(int), -1, 0)
-    columns_mm = np.linspace(left_mm, right_mm, index.shape[2])
-    rows_mm = np.linspace(top_mm, bottom_mm, index.shape[1])
     cuts = [ndimage.map_coordinates(one, index, order=0) for one in labels.volumes]
-    drawn: list[Structure] = []
+    outlined: list[Structure] = []
     for item in labels.structures:
         inside = cuts[item.volume] == item.value
         if item.name not in plain and np.count_nonzero(inside) >= min_pixels:
             outline = {"levels": [0.5], "colors": [item.colour], "linewidths": 1.4}
             axes.contour(columns_mm, rows_mm, inside.astype(float), **outline)
-            drawn.append(item)
-    return drawn
+            outlined.append(item)
+    return outlined
 
 
 def _save(figure: Any, structures: Sequence[Structure], place: Path) -> Path:

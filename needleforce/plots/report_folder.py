@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 from needleforce.plots.drawing import require_matplotlib
-from needleforce.plots.errors import WriteError
+from needleforce.plots.errors import write_errors
 from needleforce.plots.page import PAGE
 
 
@@ -31,12 +31,12 @@ def whole_folder(path: str | Path | None) -> Iterator[Path | None]:
     require_matplotlib("--report")
     folder = Path(path)
     is_new = not folder.exists()
-    with _write_errors(folder):
+    with write_errors(f"cannot write to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         draft = Path(mkdtemp(prefix=".report.", dir=folder))
     try:
         yield draft
-        with _write_errors(folder):
+        with write_errors(f"cannot write to {folder}"):
             # The page last: who reloads it finds its files.
             for item in sorted(draft.iterdir(), key=lambda item: item.name == PAGE):
                 item.replace(folder / item.name)
@@ -45,14 +45,3 @@ def whole_folder(path: str | Path | None) -> Iterator[Path | None]:
         if is_new:
             with suppress(OSError):  # it holds a report
                 folder.rmdir()
-
-
-@contextmanager
-def _write_errors(folder: Path) -> Iterator[None]:
-    """Turn what the operating system reports into a `WriteError`."""
-    try:
-        yield
-    except OSError as error:
-        raise WriteError(
-            f"cannot write to {folder}: {error.strerror or error}"
-        ) from error

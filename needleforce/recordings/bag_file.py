@@ -23,7 +23,6 @@ from needleforce.recordings.errors import (
     RecordingError,
     file_errors,
     optional_library,
-    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
@@ -239,14 +238,13 @@ def bag_head(path: Path) -> Table:
         return _head(bag, path)
 
 
-def read_bag(path: Path, select: Callable[[Table], Table], max_bytes: int) -> Table:
+def read_bag(path: Path, select: Callable[[Table], Table]) -> Table:
     """Read a ROS bag as a table whose columns have the stamps of their topic.
 
     Args:
         path: Of the bag, a file or a folder.
         select: Returns of all columns, without rows, those that are needed, with the
             joints that are.
-        max_bytes: The most memory that the messages of a topic may take.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
@@ -262,7 +260,6 @@ def read_bag(path: Path, select: Callable[[Table], Table], max_bytes: int) -> Ta
         for topic in dict.fromkeys(head.clocks[name] for name in head.columns):
             names = [name for name in head.columns if head.clocks[name] == topic]
             both_ns[topic], rows = _read_topic(bag, topic, names, head)
-            require_size(sum(v.nbytes for v in rows.values()), max_bytes, topic)
             columns |= rows
 
     offset_ns = 0  # of the sources' clock from the recorder's, by the fullest topic

@@ -175,6 +175,7 @@ class ChannelRequest:
         columns = dict(table.columns)
         joint_names = dict(table.joint_names)
         notes: dict[str, None] = {}
+        is_found = False
         for name, joints in groups.items():
             where = table.clocks.get(name, name)
             matches = match_joints(joints, robot)
@@ -182,17 +183,16 @@ class ChannelRequest:
             if chosen is None:
                 continue
 
-            columns[name] = columns[name][
-                :, [joints.index(each) for each in chosen.names]
-            ]
+            is_found = True
+            order = [joints.index(joint) for joint in chosen.names]
+            columns[name] = columns[name][:, order]
             joint_names[name] = chosen.names
             if chosen.names != robot:
                 taken = f"{chosen.names[0]}, ... ({chosen.pattern})"
-                notes[
-                    f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
-                ] = None
+                note = f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
+                notes[note] = None
 
-        if not any(match_joints(joints, robot) for joints in groups.values()):
+        if not is_found:
             name, joints = next(iter(groups.items()))
             raise ColumnError(
                 f"{name} has the joints {', '.join(joints)}; expected "
@@ -201,9 +201,11 @@ class ChannelRequest:
                 f"`--joints {','.join(joints)}`.",
             )
 
-        warnings = (*table.warnings, *notes)
         return replace(
-            table, columns=columns, joint_names=joint_names, warnings=warnings
+            table,
+            columns=columns,
+            joint_names=joint_names,
+            warnings=(*table.warnings, *notes),
         )
 
     def find_layout(self, table: Table) -> Layout | None:

@@ -5,7 +5,6 @@ up to them would take all memory.
 """
 
 import re
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby, pairwise, product
 from typing import NamedTuple
@@ -219,19 +218,10 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
     return next(iter(candidates.values()), [])
 
 
-def advise_column(channel: Channel) -> str:
-    """Return how to say which columns a channel is."""
-    return (
-        f"Name it under `{channel.name}` in the `mapping`: "
-        "`ColumnMapping(channels=...)`."
-    )
-
-
 def several_fit(channel: Channel, names: Iterable[str]) -> ColumnError:
     """Return the error for a channel that several columns would fit."""
     return ColumnError(
-        f"{channel.name}: several columns would fit ({', '.join(names)})",
-        advise_column(channel),
+        f"{channel.name}: several columns would fit ({', '.join(names)})"
     )
 
 
@@ -331,22 +321,12 @@ def _unit_of_column(
         parts = [f"{unit!r} ({origin})" for unit, origin in (stated | wanted).items()]
         raise UnitError(
             f"{channel.name}: column {name!r} is in {' and '.join(parts)}; expected "
-            f"one of {', '.join(channel.units)}",
-            advise_unit(channel, [name]),
+            f"one of {', '.join(channel.units)}"
         )
     if asked:
         return asked, "mapping"
 
     return next(iter(stated.items()), (channel.units.si, ASSUMED))
-
-
-def advise_unit(channel: Channel, columns: Sequence[str]) -> str:
-    """Return how to say in which unit the columns of a channel are."""
-    value = shlex.quote(f"{','.join(columns)}:UNIT")
-    return (
-        f"Give {channel.name} its `unit` in the `mapping`, as {value} does; a `scale` "
-        "may stand for a unit that is not known."
-    )
 
 
 def describe_columns(columns: Sequence[str]) -> str:

@@ -1,8 +1,8 @@
 """Files of named columns: npz, Parquet, Feather, HDF5, MATLAB, TDMS; data frames."""
 
 import re
-import zipfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -20,7 +20,6 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
 from needleforce.recordings.time_stamps import (
-    NS_PER_S,
     first_valid_stamp,
     start_of_clock,
     to_nanoseconds,
@@ -31,7 +30,7 @@ ARROW_SUFFIXES = (".parquet", ".feather")
 """Of files that pyarrow reads."""
 
 
-def read_npz(path: Path, max_bytes: int) -> Table:
+def read_npz(path: Path) -> Table:
     """Read an npz archive: arrays of numbers become columns; single numbers do not.
 
     Raises:
@@ -41,25 +40,17 @@ def read_npz(path: Path, max_bytes: int) -> Table:
     notes: list[str] = []
     start_ns = 0
     try:
-        with zipfile.ZipFile(path) as members:
-            size = sum(member.file_size for member in members.infolist())
-
-        require_size(size, max_bytes, f"{path}: its arrays")
         with np.load(path, allow_pickle=False) as archive:
+            size = sum(member.file_size for member in archive.zip.infolist())
+            require_size(size, f"{path}: its arrays")
             for name in archive.files:
-                try:
+                values = np.empty(0, dtype=object)
+                with suppress(ValueError):  # objects
                     values = archive[name]
-                except ValueError as error:  # objects
-                    notes.append(f"column {name!r} was left out: {error}")
-                    continue
-
+                is_signal = values.ndim in (1, 2) and values.size
                 if name == START_KEY and values.ndim == 0:
                     start_ns = int(values)
-                elif (
-                    values.ndim in (1, 2)
-                    and values.size
-                    and values.dtype.kind in "fiub"
-                ):
+                elif is_signal and values.dtype.kind in "fiub":
                     columns[name] = values
                 elif values.ndim:
                     kind = f"{values.dtype} {values.shape}"
@@ -74,7 +65,7 @@ def read_npz(path: Path, max_bytes: int) -> Table:
     return Table(columns=columns, warnings=tuple(notes), start_ns=start_ns)
 
 
-def read_arrow(path: Path, max_bytes: int) -> Table:
+def read_arrow(path: Path) -> Table:
     """Read the columns of numbers, lists and time stamps of a Parquet or Feather file.
 
     Raises:
@@ -85,13 +76,12 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
     reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
     try:
         if kind == "parquet":  # whose size is known before it is unpacked
-            content = reader.ParquetFile(path).metadata
-            groups = map(content.row_group, range(content.num_row_groups))
+            about = reader.ParquetFile(path).metadata
+            groups = map(about.row_group, range(about.num_row_groups))
             size = sum(group.total_byte_size for group in groups)
-            require_size(size, max_bytes, f"{path}: what it holds")
-
+            require_size(size, f"{path}: what it holds")
         content = reader.read_table(path, use_threads=False)
-        require_size(content.nbytes, max_bytes, f"{path}: what it holds")
+        require_size(content.nbytes, f"{path}: what it holds")
         table = table_of_frame(content.to_pandas(ignore_metadata=True))
     except (arrow.ArrowException, UnicodeDecodeError) as error:
         raise FormatError(
@@ -173,14 +163,10 @@ def _numbers_of(cells: pd.Series) -> np.ndarray | None:
 
 
 def _clock_ns(cells: pd.Series) -> np.ndarray | None:
-    """Return dates with times, or times that go on over midnight, in ns; or None."""
+    """Return dates with times, or times of one day, in ns; None for anything else."""
     try:
         if re.match(r"\s*\d+:\d+:\d", str(cells.iloc[0])):
-            day_ns = 86_400 * NS_PER_S
-            clock_ns = pd.to_timedelta(cells).to_numpy("m8[ns]").astype(np.int64)
-            steps_ns = np.diff(clock_ns, prepend=clock_ns[:1])
-            days = np.cumsum(np.round(-steps_ns / day_ns)).astype(np.int64)
-            return clock_ns + days * day_ns
+            return pd.to_timedelta(cells).to_numpy("m8[ns]").astype(np.int64)
 
         dates = pd.to_datetime(cells, utc=True, format="ISO8601")
         return dates.dt.tz_localize(None).to_numpy("M8[ns]").astype(np.int64)
@@ -229,7 +215,7 @@ CONTAINER_SUFFIXES = (".h5", ".hdf5", ".mat", ".tdms")
 """Of files whose arrays have names in groups."""
 
 
-def read_container(path: Path, max_bytes: int) -> Table:
+def read_container(path: Path) -> Table:
     """Read the numbers of shape (n,) or (n, k), n > 1, that a file holds.
 
     Raises:
@@ -242,17 +228,14 @@ def read_container(path: Path, max_bytes: int) -> Table:
     is_matlab = path.suffix.lower() == ".mat"
     try:
         if path.suffix.lower() == ".tdms":
-            return _read_tdms(path, max_bytes)
+            return _read_tdms(path)
         if is_hdf5 or not is_matlab:
-            arrays = _read_hdf5(path, max_bytes, is_matlab=is_matlab)
+            arrays = _read_hdf5(path, is_matlab=is_matlab)
         else:
             library = optional_library("scipy.io", "MATLAB files")
             arrays = _flat(library.loadmat(path, simplify_cells=True))
-    except (RecordingError, OSError) as error:
-        if isinstance(error, RecordingError) or error.errno:
-            raise
-
-        raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
+    except RecordingError:
+        raise
     except Exception as error:  # whatever damaged bytes make the library run into
         raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
 
@@ -261,18 +244,17 @@ def read_container(path: Path, max_bytes: int) -> Table:
         for name, values in arrays.items()
         if values.dtype.kind in "fiub" and values.ndim in (1, 2) and len(values) > 1
     }
-    require_size(sum(v.nbytes for v in columns.values()), max_bytes, f"{path}")
     return Table(columns=columns)
 
 
-def _read_hdf5(path: Path, max_bytes: int, *, is_matlab: bool) -> dict[str, np.ndarray]:
+def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
     """Return the datasets of an HDF5 file; MATLAB writes columns as its rows."""
     library = optional_library("h5py", "HDF5 files")
     arrays: dict[str, np.ndarray] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, library.Dataset) and item.ndim in (1, 2):
-            require_size(item.nbytes, max_bytes, f"{path}: {name}")
+            require_size(item.nbytes, f"{path}: {name}")
             values = item[()]
             values = values.T if is_matlab else values
             arrays[name] = values[:, 0] if values.shape[1:] == (1,) else values
@@ -295,10 +277,9 @@ def _flat(content: Mapping[str, Any], start: str = "") -> dict[str, np.ndarray]:
     return arrays
 
 
-def _read_tdms(path: Path, max_bytes: int) -> Table:
+def _read_tdms(path: Path) -> Table:
     """Return the channels of a TDMS file, with their units and the clock of each."""
     library = optional_library("nptdms", "TDMS files")
-    require_size(path.stat().st_size, max_bytes, f"{path}")
     columns: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     stamps_ns: dict[str, np.ndarray] = {}

@@ -1,4 +1,4 @@
-"""The errors of this package, counts of faults, and the limits of every format."""
+"""The errors of this package, and the words of their advice."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,10 +7,6 @@ from pathlib import Path
 from types import ModuleType
 
 from foundation.errors import NeedleforceError
-
-MAX_BYTES = 2 << 30
-"""Memory that a recording may take by default; a small damaged file can ask for any."""
-
 
 KNOWN_SUFFIX = (
     "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
@@ -53,8 +49,8 @@ class ColumnError(RecordingError, LookupError):
     """A column was not found, or more than one would fit."""
 
     usual_advice = (
-        "Give a name that the message lists, a pattern such as q_* or a unit "
-        "such as z:mm."
+        "Name the columns of the channel, on the command line or in the `mapping`: "
+        "names that the message lists, or a pattern such as q_*."
     )
 
 
@@ -62,8 +58,8 @@ class UnitError(RecordingError, ValueError):
     """The unit of a column is not known, or contradicted by names, rows or values."""
 
     usual_advice = (
-        "Give {channel} its `unit` in the `mapping`; a `scale` may stand for a "
-        "unit that is not known."
+        "Give the unit behind the names, as `NAMES:UNIT`, or as `unit` in the "
+        "`mapping`; a `scale` may stand for a unit that is not known."
     )
 
 
@@ -83,19 +79,17 @@ class LogError(RecordingError, ValueError):
     )
 
 
-def require_size(size: int, limit: int, subject: str) -> None:
-    """Raise `FormatError` if something takes more bytes than `max_bytes` allows.
+MAX_BYTES = 2 << 30
+"""Most memory that a packed file's content may take: a bomb takes all there is."""
 
-    Args:
-        size: Bytes that it takes.
-        limit: Bytes that are allowed.
-        subject: What takes them; the message begins with it.
-    """
-    if size > limit:
+
+def require_size(size: int, subject: str) -> None:
+    """Raise `FormatError` if something takes more bytes than `MAX_BYTES`."""
+    if size > MAX_BYTES:
         raise FormatError(
             f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
-            f"{limit / 1e6:.3g} MB",
-            "If the file is trusted, raise `max_bytes`.",
+            f"{MAX_BYTES / 1e6:.3g} MB",
+            "Unpack it, and read the part that is needed.",
         )
 
 
@@ -130,12 +124,6 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
         raise FileAccessError(
             f"cannot {verb} {name}: {error.strerror or error}"
         ) from error
-    except ValueError as error:
-        if "null" not in str(error):
-            raise
-
-        # The name has a NUL in it, which no file can have.
-        raise FileAccessError(f"cannot {verb} {str(name)!r}: {error}") from error
 
 
 def readable_path(path: str | Path) -> Path:

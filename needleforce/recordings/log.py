@@ -1,8 +1,7 @@
 """A log: channels in SI units, with one time stamp per row."""
 
 import fnmatch
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -15,8 +14,6 @@ from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
-    advise_column,
-    advise_unit,
     describe_columns,
     read_units,
     several_fit,
@@ -38,9 +35,6 @@ from needleforce.recordings.time_stamps import (
     to_seconds,
     with_own_clocks,
 )
-
-SORTED_WITHIN_S = 1.0
-"""Rows of a file are sorted if they come no later than this after newer ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,25 +112,6 @@ class Log:
         """Time since the row before, infinite for the first, shape (n,)."""
         return np.diff(self.t_s, prepend=-np.inf)
 
-    def parts(self, row_count: int = 1 << 14) -> Iterator["LogRows"]:
-        """Yield consecutive rows, so many at a time; each overlaps no other."""
-        for start in range(0, len(self), row_count):
-            rows = slice(start, start + row_count)
-            yield LogRows(
-                t_s=self.t_s[rows],
-                dt_s=self.dt_s[rows],
-                channels={name: v[rows] for name, v in self.channels.items()},
-            )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LogRows:
-    """Consecutive rows of a log: stamps, time since the row before, and channels."""
-
-    t_s: Array
-    dt_s: Array
-    channels: Mapping[str, Array]
-
 
 def _read_only(name: str, values: ArrayLike) -> Array:
     """Return a read-only copy as float64; `LogError` if values are no numbers."""
@@ -179,9 +154,7 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         rows = np.arange(len(first))
         t_s = rows / request.mapping.rate_hz
     else:
-        within_s = request.mapping.sort_within_s
-        within_s = SORTED_WITHIN_S if within_s is None else within_s
-        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first, within_s)
+        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first)
         notes += time_notes
 
     channels = {key: values[rows] for key, values in measured.items()}
@@ -307,8 +280,7 @@ def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]
         raise ColumnError(
             f"no column found for {names}; usual names of {channel.name} are "
             f"{', '.join(channel.spellings)}. Columns are: {table.describe()}"
-            f"{table.left_out()}",
-            advise_column(channel),
+            f"{table.left_out()}"
         )
     if not found:
         raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
@@ -340,16 +312,6 @@ def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
     channel = request.channels["time"]
     spec = request.mapping.channels.get("time")
     columns = request.find(table, channel)
-    for fraction in table.columns if spec is None else ():
-        match = re.fullmatch(r"(?i)(.*?)(n|nano|u|micro)s(ec(ond)?s?)?", fraction)
-        whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?" if match else "(?!)"
-        seconds = next(filter(re.compile(whole).fullmatch, table.columns), "")
-        if match and seconds and (not columns or {seconds, fraction} & {*columns}):
-            unit = "ns" if match[2].lower().startswith("n") else "us"
-            return ChannelUnit(
-                "time", (seconds, fraction), ("s", unit), ("header", "header")
-            )
-
     if spec is not None and len(columns) > len(spec.patterns):
         raise several_fit(channel, columns)
     if not columns:
@@ -452,7 +414,4 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     if large_count <= 0.05 * len(sizes):  # so few may be spikes
         return [f"{text}; rows beyond it: {large_count}"]
 
-    raise UnitError(
-        f"{text}. The file states no unit of {', '.join(channel.units)}",
-        advise_unit(channel, unit.columns),
-    )
+    raise UnitError(f"{text}. The file states no unit of {', '.join(channel.units)}")

@@ -105,14 +105,12 @@ class ColumnMapping:
         rate_hz: Samples/s of a file without time stamps; it replaces a time column.
         joints: Names of the robot's joints in the recording, in its order, by which
             signals are found and put in order; or one pattern that they fit, `left_*`.
-        sort_within_s: Rows are sorted that come no later than this after newer ones.
         knowledge: Channels, units and layouts that are known.
     """
 
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
-    sort_within_s: float | None = None
     knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -121,13 +119,8 @@ class ColumnMapping:
         Raises:
             MappingError: One is not known, or they contradict each other.
         """
-        for name in ("rate_hz", "sort_within_s"):
-            value = getattr(self, name)
-            is_zero = value == 0.0 and name == "rate_hz"
-            if value is not None and (
-                not 0.0 <= value <= sys.float_info.max or is_zero
-            ):
-                raise MappingError(f"{name} = {value!r:.60} must be a positive number")
+        if self.rate_hz is not None and not 0.0 < self.rate_hz <= sys.float_info.max:
+            raise MappingError(f"rate_hz = {self.rate_hz!r:.60} must be positive")
         if self.rate_hz is not None and "time" in self.channels:
             raise MappingError(
                 "both rate_hz and a time column are given, expected one of them"
@@ -187,8 +180,7 @@ def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMa
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
     the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
-    `rate_hz`, `joints` and `sort_within_s`, see `ColumnMapping`, and `payload`, which
-    is for commands.
+    `rate_hz` and `joints`, see `ColumnMapping`, and `payload`, which is for commands.
 
     Raises:
         FileAccessError: the file cannot be read.
@@ -230,7 +222,7 @@ def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
 
 def _mapping_of(content: Mapping[str, Any], knowledge: Knowledge) -> ColumnMapping:
     """Return a mapping from content of TOML; `MappingError` if that is not valid."""
-    top_keys = {"rate_hz", "joints", "sort_within_s"}
+    top_keys = {"rate_hz", "joints"}
     channels: dict[str, ColumnSpec] = {}
     name = "$"
     try:

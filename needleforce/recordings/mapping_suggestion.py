@@ -5,12 +5,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import ChannelUnit, read_units
+from needleforce.recordings.column_names import read_units
 from needleforce.recordings.errors import ColumnError, UnitError
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
 from needleforce.recordings.open_recording import columns_of
-from needleforce.recordings.table import Table
 
 
 def suggest_mapping(
@@ -50,22 +48,29 @@ def suggest_mapping(
     used: set[str] = set()
     for name in channels if is_timed else ("time", *channels):
         channel = request.channels[name]
+        spec = known.channels.get(name)
+        if name in known.left_out:
+            lines.append(f'{name} = "{LEFT_OUT}"  # {channel.meaning}')
+            continue
         try:
-            unit = _find_unit(table, request, channel)
+            columns = request.find(table, channel)
+            if not columns:
+                lines.append(comment_line(f"{name}: not found"))
+                continue
+            unit = read_units(table, channel, columns, spec)
         except (ColumnError, UnitError) as error:
-            if name in known.channels:
+            if spec is not None:
                 raise
-
             lines.append(comment_line(f"{name}: {error}"))
             continue
-
-        used |= {*unit.columns}
-        columns = unit.columns[0] if len(unit.columns) == 1 else unit.columns
-        value = f"columns = {json.dumps(columns)}"
-        if columns != LEFT_OUT:
-            units = unit.units[0] if len({*unit.units}) == 1 else unit.units
-            value += f", unit = {json.dumps(units)}, scale = {json.dumps(unit.scale)}"
-        lines.append(f"{name} = {{ {value} }}  # {channel.meaning}")
+        used |= {*columns}
+        values = {
+            "columns": columns if len(columns) > 1 else columns[0],
+            "unit": unit.units if len({*unit.units}) > 1 else unit.units[0],
+            "scale": unit.scale,
+        }
+        entries = ", ".join(f"{key} = {json.dumps(v)}" for key, v in values.items())
+        lines.append(f"{name} = {{ {entries} }}  # {channel.meaning}")
 
     lines += ["", *payload, "", "# Columns that are not used:"]
     for name, values in table.columns.items():
@@ -73,17 +78,6 @@ def suggest_mapping(
             lines.append(comment_line(f"  {name} {list(values.shape[1:]) or ''}"))
 
     return "\n".join([*lines, ""])
-
-
-def _find_unit(table: Table, request: ChannelRequest, channel: Channel) -> ChannelUnit:
-    """Return a channel's columns and units; raises if they are not known."""
-    spec = request.mapping.channels.get(channel.name)
-    if spec is not None and spec.patterns == (LEFT_OUT,):
-        return ChannelUnit(channel.name, (LEFT_OUT,), (), ())
-    if columns := request.find(table, channel):
-        return read_units(table, channel, columns, spec)
-
-    raise ColumnError("not found")
 
 
 def comment_line(text: str) -> str:

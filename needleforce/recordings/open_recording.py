@@ -20,7 +20,6 @@ from needleforce.recordings.columnar import (
 )
 from needleforce.recordings.errors import (
     KNOWN_SUFFIX,
-    MAX_BYTES,
     FileAccessError,
     FormatError,
     file_errors,
@@ -45,8 +44,6 @@ SUFFIXES = (
 def read_table(
     path: str | Path,
     request: ChannelRequest | None = None,
-    *,
-    max_bytes: int = MAX_BYTES,
 ) -> Table:
     """Read a file's columns as they stand, in its units, without saying what they mean.
 
@@ -57,20 +54,19 @@ def read_table(
             folder of them; a folder with one file for each signal; or `-` for CSV on
             standard input.
         request: what is read of a bag, and in which order joints are; all without.
-        max_bytes: the most memory that the content of the file may take.
 
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
-        FormatError: nothing usable is in it, or it is larger than `max_bytes`.
+        FormatError: nothing usable is in it.
     """
     request = request or ChannelRequest()
     if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
-        return read_bag(Path(path), lambda head: _select(head, request), max_bytes)
+        return read_bag(Path(path), lambda head: _select(head, request))
 
     if str(path) != STANDARD_STREAM and Path(path).is_dir():
-        table = _read_folder(Path(path), request, max_bytes)
+        table = _read_folder(Path(path), request)
     else:
-        table = _read_file(path, request, max_bytes)
+        table = _read_file(path, request)
     if not table.columns:
         raise FormatError(f"{path} holds no column of numbers{table.left_out()}")
 
@@ -85,27 +81,23 @@ def _select(head: Table, request: ChannelRequest) -> Table:
     return request.in_joint_order(replace(head, columns=columns))
 
 
-def _read_file(path: str | Path, request: ChannelRequest, max_bytes: int) -> Table:
+def _read_file(path: str | Path, request: ChannelRequest) -> Table:
     """Return the table of a file that is no bag; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
     if str(path) == STANDARD_STREAM:
-        data = sys.stdin.buffer.read(max_bytes + 1)
-        return read_text(data, "stdin", knowledge, max_bytes)
+        return read_text(sys.stdin.buffer.read(), "stdin", knowledge)
 
     path = Path(path)
     name = path.name.lower()
     with file_errors(path):
         if path.is_fifo() or name.endswith(CSV_SUFFIXES):
-            with path.open("rb") as stream:
-                data = stream.read(max_bytes + 1)
-
-            return read_text(data, str(path), knowledge, max_bytes)
+            return read_text(path.read_bytes(), str(path), knowledge)
         if name.endswith(".npz"):
-            return read_npz(path, max_bytes)
+            return read_npz(path)
         if name.endswith(ARROW_SUFFIXES):
-            return read_arrow(path, max_bytes)
+            return read_arrow(path)
         if name.endswith(CONTAINER_SUFFIXES):
-            return read_container(path, max_bytes)
+            return read_container(path)
 
     if conversion := knowledge.conversions.get(path.suffix.lower()):
         raise FileAccessError(
@@ -117,7 +109,7 @@ def _read_file(path: str | Path, request: ChannelRequest, max_bytes: int) -> Tab
     )
 
 
-def _read_folder(folder: Path, request: ChannelRequest, max_bytes: int) -> Table:
+def _read_folder(folder: Path, request: ChannelRequest) -> Table:
     """Return the signals of the files in a folder, each with the clock of its file.
 
     Columns are called after their file, without what all files' names begin with. The
@@ -134,14 +126,14 @@ def _read_folder(folder: Path, request: ChannelRequest, max_bytes: int) -> Table
     whole = Table(columns={})
     for path, stem in zip(paths, stems, strict=True):
         name = stem.removeprefix(start)
-        table = _read_file(path, request, max_bytes)
+        table = _read_file(path, request)
         columns = dict(table.columns)
         if "column_1" in columns:
             first, *others = columns.values()
             columns = {"t_s": first, name: np.column_stack(others)}
             table = replace(table, columns=columns, warnings=())
 
-        time = time_unit(table, request)
+        time = time_unit(table, request.with_layout(table))
         t_s, start_ns = read_times(table, request.channels["time"], time)
         is_row = np.isfinite(t_s)
         signals = {
@@ -178,7 +170,6 @@ def read_log(
     optional: Iterable[str] = (),
     joints: Iterable[str] = (),
     layouts: Iterable[str | Path] = (),
-    max_bytes: int = MAX_BYTES,
 ) -> Log:
     """Read a recording into SI units; its `warnings` say what is wrong with it.
 
@@ -193,7 +184,6 @@ def read_log(
         joints: names of the robot's joints; a recording that names joints is put into
             this order.
         layouts: TOML files that add words, units and layouts to those that are known.
-        max_bytes: the most memory that the content of the file may take.
 
     Raises:
         RecordingError: see `read_table`; or time, a required or a mapped channel was
@@ -206,4 +196,4 @@ def read_log(
         mapping = replace(mapping, knowledge=load_layouts(*layouts))
 
     request = ChannelRequest(mapping, tuple(required), tuple(optional), tuple(joints))
-    return log_of_table(read_table(path, request, max_bytes=max_bytes), request)
+    return log_of_table(read_table(path, request), request)

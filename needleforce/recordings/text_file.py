@@ -6,6 +6,7 @@ import gzip
 import io
 import re
 import warnings
+import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -13,10 +14,11 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from needleforce.recordings import errors
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.columnar import table_of_frame
-from needleforce.recordings.errors import FormatError, require_size
+from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import START_KEY, Table
 
 CSV_SUFFIXES = (
@@ -57,19 +59,18 @@ class _Start(NamedTuple):
     width: int
 
 
-def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> Table:
+def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
     """Read a text: perhaps lines above, a header, perhaps units, rows of numbers.
 
     Args:
         data: The file, plain or compressed with gzip.
         name: Of the file, for messages.
         knowledge: Names and units that are known.
-        max_bytes: The most memory that the text may take.
 
     Raises:
         FormatError: There is no table in it, or a quotation does not end.
     """
-    data = _in_utf8(data, name, max_bytes)
+    data = _in_utf8(data, name)
     head = data[: 1 << 20].decode("utf-8", "replace")
     lines = _lines_of_table(re.split(r"\r\n|\r|\n", head))[:400]
     texts = [line for _, line in lines]
@@ -81,12 +82,28 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
         )
 
     start = max(tables, key=lambda table: table.number_count)
-    names = [f"column_{number + 1}" for number in range(start.width)]
-    units: dict[str, str] = {}
-    notes = [f"there is no header; columns are called column_1 to {names[-1]}"]
-    if start.header >= 0:
-        names, units, notes = _names_and_units(texts, start, knowledge)
+    above = [_cells(line, start.delimiter) for line in texts[: start.first_row]]
+    heads = above[start.header :] if start.header >= 0 else []
+    header = max(heads, key=lambda cells: _count_names(cells, knowledge), default=[])
+    names = _unique_names(header, start.width)
+    notes = [
+        f"the header has {cell!r} twice, one as {name}"
+        for cell, name in zip(header, names, strict=False)
+        if cell not in ("", name)
+    ]
+    if not header:
+        notes = [f"there is no header; columns are called column_1 to {names[-1]}"]
 
+    rows = [row for row in heads if _is_row_of_units(row, knowledge)]
+    # Of LabVIEW, whose first column is the time.
+    rows += [["s", *row[1:]] for row in above if row[:1] == ["Y_Unit_Label"]]
+    units = {
+        name: cell.strip("()[]{}<> ")
+        for row in rows
+        if row is not header
+        for name, cell in zip(names, row, strict=False)
+        if cell.strip("- ")
+    }
     few_rows = "".join(texts[start.first_row :][:50])
     decimal = "."
     if start.delimiter != "," and re.search(r"\d,\d", few_rows):
@@ -124,20 +141,20 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
     )
 
 
-def _in_utf8(data: bytes, name: str, max_bytes: int) -> bytes:
+def _in_utf8(data: bytes, name: str) -> bytes:
     """Return a text in UTF-8, UTF-16 or Windows' encoding, perhaps packed, in UTF-8.
 
     Raises:
-        FormatError: It is damaged, or longer than allowed.
+        FormatError: It is damaged.
     """
     if data.startswith(b"\x1f\x8b"):
         try:
             with gzip.open(io.BytesIO(data)) as file:
-                data = file.read(max_bytes + 1)
-        except (OSError, EOFError) as error:
+                data = file.read(errors.MAX_BYTES + 1)
+        except (OSError, EOFError, zlib.error) as error:
             raise FormatError(f"{name}: damaged gzip ({error})") from error
 
-    require_size(len(data), max_bytes, f"{name}: its text")
+        errors.require_size(len(data), f"{name}: its text")
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if is_wide else ("utf-8", "cp1252"):
         with suppress(UnicodeDecodeError):
@@ -205,36 +222,13 @@ def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
     return tables
 
 
-def _names_and_units(
-    lines: Sequence[str], start: _Start, knowledge: Knowledge
-) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return unique names of the columns, the units of a row below, and what is odd."""
-    texts = [
-        _cells(line, start.delimiter) for line in lines[start.header : start.first_row]
-    ]
-    header = max(texts, key=lambda cells: _count_names(cells, knowledge))
+def _unique_names(header: Sequence[str], width: int) -> list[str]:
+    """Return a name for each of so many columns, `column_3` where there is none."""
     names: list[str] = []
-    notes: list[str] = []
-    for number, cell in enumerate([*header, *[""] * start.width][: start.width], 1):
-        if cell in names:
-            notes.append(f"the header has {cell!r} twice, one as column_{number}")
-
+    for number, cell in enumerate([*header, *[""] * width][:width], 1):
         names.append(cell if cell and cell not in names else f"column_{number}")
 
-    rows = [row for row in texts if _is_row_of_units(row, knowledge)]
-    rows += [  # of LabVIEW, whose first column is the time
-        ["s", *_cells(line, start.delimiter)[1:]]
-        for line in lines[: start.header]
-        if line.startswith("Y_Unit_Label\t")
-    ]
-    units = {
-        name: cell.strip("()[]{}<> ")
-        for row in rows
-        if row is not header
-        for name, cell in zip(names, row, strict=False)
-        if cell.strip("- ")
-    }
-    return names, units, notes
+    return names
 
 
 def _count_names(cells: Iterable[str], knowledge: Knowledge) -> int:

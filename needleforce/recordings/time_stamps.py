@@ -7,7 +7,7 @@ from the first stamp instead, see `start_of_clock`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NoReturn
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -168,9 +168,25 @@ def interpolate(
     return np.stack(rows, axis=1).reshape(len(at_ns), *values.shape[1:])
 
 
-def rows_in_order(
-    t_s: Array, values: Array, sorted_within_s: float
-) -> tuple[NDArray[np.intp], Array, list[str]]:
+SORTED_WITHIN_S = 1.0
+"""Rows of a file are sorted if they come no later than this after newer ones."""
+
+
+class OrderedRows(NamedTuple):
+    """The rows of a log in the order of time.
+
+    Attributes:
+        rows: Their indices in the file, shape (m,).
+        t_s: Their stamps, shape (m,).
+        notes: What was odd.
+    """
+
+    rows: NDArray[np.intp]
+    t_s: Array
+    notes: list[str]
+
+
+def rows_in_order(t_s: Array, values: Array) -> OrderedRows:
     """Return the rows of a log in the order of time, and what was odd.
 
     Rows without a stamp, with one that those around contradict, or with that of an
@@ -179,11 +195,6 @@ def rows_in_order(
     Args:
         t_s: Stamps in the order of the file, shape (n,).
         values: A channel, shape (n,) or (n, k): rows that repeat it are no new samples.
-        sorted_within_s: Rows are sorted that come no later than this after newer ones;
-            at 0 none are, and late ones are left out.
-
-    Returns:
-        Indices of the rows, shape (m,), their stamps, shape (m,), and notes.
 
     Raises:
         LogError: Fewer than two stamps advance, the clock was set back, or samples
@@ -198,7 +209,7 @@ def rows_in_order(
             f"time: rows without a stamp, left out: {count} (first: row {first + 1})"
         )
 
-    is_bad = _is_contradicted(t_s[rows], sorted_within_s)
+    is_bad = _is_contradicted(t_s[rows])
     if is_bad.any():
         first = rows[np.argmax(is_bad)]
         notes.append(
@@ -208,9 +219,9 @@ def rows_in_order(
 
     rows = rows[~is_bad]
     lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
-    if sorted_within_s > 0.0 and lateness_s.any():
-        if lateness_s.max() > sorted_within_s:
-            row = rows[np.argmax(lateness_s > sorted_within_s)]
+    if lateness_s.any():
+        if lateness_s.max() > SORTED_WITHIN_S:
+            row = rows[np.argmax(lateness_s > SORTED_WITHIN_S)]
             raise LogError(
                 f"time: the clock was set back at row {row + 1}, by up to "
                 f"{lateness_s.max():.6g} s",
@@ -239,7 +250,7 @@ def rows_in_order(
         )
 
     _refuse_bursts(t_s[rows])
-    return rows, t_s[rows], notes
+    return OrderedRows(rows, t_s[rows], notes)
 
 
 def _refuse_shared_stamps(stamps_s: Array, values: Array) -> None:
@@ -253,7 +264,7 @@ def _refuse_shared_stamps(stamps_s: Array, values: Array) -> None:
     is_changed = values[1:] != values[:-1]
     is_sample = is_changed.any(axis=tuple(range(1, values.ndim)))
     if np.count_nonzero(~is_new & is_sample) > len(stamps_s) / 3:
-        _refuse_groups(stamps_s, np.flatnonzero(is_new) + 1, "samples share stamps")
+        raise _no_times("samples share stamps")
 
 
 def _refuse_bursts(stamps_s: Array) -> None:
@@ -263,34 +274,24 @@ def _refuse_bursts(stamps_s: Array) -> None:
     starts = np.flatnonzero(is_pause) + 1
     is_mostly_paused = steps_s[is_pause].sum() > 0.5 * steps_s.sum()
     if len(starts) >= 10 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
-        _refuse_groups(stamps_s, starts, "stamps come in bursts")
+        raise _no_times("stamps come in bursts")
 
 
-def _is_contradicted(t_s: Array, sorted_within_s: float) -> NDArray[np.bool_]:
+def _is_contradicted(t_s: Array) -> NDArray[np.bool_]:
     """Return which finite stamps, shape (n,), those around contradict."""
     step_s = float(np.median(np.diff(t_s[:200]))) if len(t_s) > 8 else 0.0
     if step_s <= 0.0:
         return np.zeros(len(t_s), dtype=np.bool_)
 
     around_s = median_filter(t_s, 9, mode="nearest")
-    return np.abs(t_s - around_s) > max(sorted_within_s, 20.0 * step_s)
+    return np.abs(t_s - around_s) > max(SORTED_WITHIN_S, 20.0 * step_s)
 
 
-def _refuse_groups(stamps_s: Array, starts: NDArray[np.intp], fault: str) -> NoReturn:
-    """Raise `LogError` for samples whose stamps say only when each group came.
-
-    Args:
-        stamps_s: Of all rows, shape (m,).
-        starts: Where groups begin, shape (k,).
-        fault: What is wrong with the stamps.
-    """
-    # The first group may have begun before the log.
-    first, last = (starts[0], starts[-1]) if len(starts) > 1 else (0, len(stamps_s) - 1)
-    span_s = stamps_s[last] - stamps_s[first]
-    rate = f"{(last - first) / span_s:.3g}" if span_s > 0.0 else "HZ"
-    raise LogError(
-        f"time: {fault}: {len(stamps_s)} rows in {len(starts) + 1} groups, so they do "
-        "not tell when a sample was measured",
-        f"If the samples are even, give their rate: --rate {rate}, `rate_hz = {rate}` "
-        "in the mapping; else write stamps of the source with all digits.",
+def _no_times(fault: str) -> LogError:
+    """Return the error of stamps that say only when each group of samples came."""
+    return LogError(
+        f"time: {fault}, so they do not tell when a sample was measured",
+        "If the samples are even, give their rate: --rate HZ, `rate_hz` in the "
+        "mapping; a stamp in two columns is --time sec:s+nanosec:ns; else write stamps "
+        "of the source with all digits.",
     )

@@ -231,17 +231,20 @@ def _link_poses(
 
         latest = picture
         links = labels.link_poses(position_rad)
-        headers = _headers([stamp_ns] * len(links.children), links.parent)
-        poses = zip(links.translation_m, links.rotation_xyzw, strict=True)
-        transforms = []
-        for header, child, (origin, turn) in zip(
-            headers, links.children, poses, strict=True
+        transforms: list[Any] = []
+        for header, child, origin_m, turn in zip(
+            _headers([stamp_ns] * len(links.children), links.parent),
+            links.children,
+            links.translation_m.tolist(),
+            links.rotation_xyzw.tolist(),
+            strict=True,
         ):
-            vector = types["geometry_msgs/msg/Vector3"](*origin.tolist())
-            rotation = types["geometry_msgs/msg/Quaternion"](*turn.tolist())
-            pose = types["geometry_msgs/msg/Transform"](vector, rotation)
-            make_stamped = types["geometry_msgs/msg/TransformStamped"]
-            transforms.append(make_stamped(header, child, pose))
+            pose = types["geometry_msgs/msg/Transform"](
+                types["geometry_msgs/msg/Vector3"](*origin_m),
+                types["geometry_msgs/msg/Quaternion"](*turn),
+            )
+            stamped = types["geometry_msgs/msg/TransformStamped"](header, child, pose)
+            transforms.append(stamped)
 
         yield types["tf2_msgs/msg/TFMessage"](transforms)
 

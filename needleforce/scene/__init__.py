@@ -2,8 +2,8 @@
 
 Reading order: `moment` (what a loop hands over), `words` (a moment in words), `nodes`
 (what stands in the scene), `viewer` (the page) with its parts `insertion_card`,
-`scan_slices`, `force_plots` and `time_line`; `export_page` (one file), `live` (the page
-beside a loop), `slicer` (OpenIGTLink).
+`scan_slices` and `force_plots`; `export_page` (one file), `live` (the page beside a
+loop), `slicer` (OpenIGTLink).
 """
 
 from needleforce.scene.live import LiveView as LiveView, open_viewer as open_viewer

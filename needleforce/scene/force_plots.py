@@ -12,29 +12,26 @@ from needleforce.scene.moment import Moment
 CURVES = (("axial force", "#0072b2"), ("tip force", "#d55e00"))
 """Name and colour of each curve; it has a band of two standard deviations."""
 
-AXES = ("depth [mm]", "time [s]")
-"""Labels of the x axes of the two plots."""
-
 
 def force_table(moments: Sequence[Moment]) -> Array:
-    """Return time, depth, axial force and deviation, tip force and deviation.
+    """Return time, depth, and of each curve the force and the edges of its band.
 
-    Only of moments that are tared and valid, and of at most a thousand: shape (n, 6).
+    Only of moments that are tared and valid, and of at most a thousand: shape (n, 8).
     """
     max_rows = 1000
-    rows = [
-        (
-            estimate.time_s,
-            find_depth_zero(estimate).shown_mm(estimate.depth_m),
-            estimate.wrench.axial,
-            estimate.wrench.axial_std,
-            estimate.identification.tip_force_N,
-            estimate.identification.tip_force_std_N or 0.0,
-        )
-        for _, estimate in moments[:: len(moments) // max_rows + 1]
-        if estimate.status.value == "ok"
-    ]
-    return np.array(rows).reshape(-1, 6)
+    rows: list[list[float]] = []
+    for _, estimate in moments[:: len(moments) // max_rows + 1]:
+        if estimate.status.value != "ok":
+            continue
+        found = estimate.identification
+        row = [estimate.time_s, find_depth_zero(estimate).shown_mm(estimate.depth_m)]
+        for force_N, std_N in (
+            (estimate.wrench.axial, estimate.wrench.axial_std),
+            (found.tip_force_N, found.tip_force_std_N or 0.0),
+        ):
+            row += [force_N, force_N + 2.0 * std_N, force_N - 2.0 * std_N]
+        rows.append(row)
+    return np.array(rows).reshape(-1, 8)
 
 
 class ForcePlots:
@@ -44,35 +41,33 @@ class ForcePlots:
         gui: Of the page.
 
     Attributes:
-        charts: The plots by the label of their x axis.
+        over_depth: Forces over depth.
+        over_time: Forces over time.
     """
 
     def __init__(self, gui: Any) -> None:
         from viser import uplot
 
-        # A plot cannot be made without a point.
-        empty = np.zeros(1)
-        self.charts: dict[str, Any] = {}
-        for label in AXES:
-            series = [uplot.Series(label=label)]
-            bands: list[Any] = []
-            for name, color in CURVES:
-                series.append(
-                    uplot.Series(label=f"{name} [N]", stroke=color, width=2.0)
-                )
-                edges = (len(series), len(series) + 1)
-                bands.append(uplot.Band(series=edges, fill=f"{color}2e"))
-                edge = uplot.Series(label="± 2 std", stroke=color, width=0.3)
-                series += [edge, edge]
-            self.charts[label] = gui.add_uplot(
-                (empty,) * len(series),
-                tuple(series),
+        series = [uplot.Series()]
+        bands: list[uplot.Band] = []
+        for name, color in CURVES:
+            series.append(uplot.Series(label=f"{name} [N]", stroke=color, width=2.0))
+            edges = (len(series), len(series) + 1)
+            bands.append(uplot.Band(series=edges, fill=f"{color}2e"))
+            edge = uplot.Series(label="± 2 std", stroke=color, width=0.3)
+            series += [edge, edge]
+        self.over_depth, self.over_time = (
+            gui.add_uplot(
+                (np.zeros(1),) * len(series),  # it cannot be made without a point
+                (uplot.Series(label=label), *series[1:]),
                 bands=tuple(bands),
                 scales={"x": uplot.Scale(time=False, auto=True)},
                 axes=(uplot.Axis(label=label), uplot.Axis(label="force [N]")),
                 legend=uplot.Legend(show=False),
                 aspect=1.4,
             )
+            for label in ("depth [mm]", "time [s]")
+        )
 
     def draw(self, moments: Sequence[Moment]) -> None:
         """Draw the forces of moments; a plot without any keeps what it shows.
@@ -82,17 +77,7 @@ class ForcePlots:
         table = force_table(moments)
         if not len(table):
             return
-        depth_mm = table[:, 1]
-        is_deepest = depth_mm >= np.maximum.accumulate(depth_mm)
-        shown = {AXES[0]: table[is_deepest], AXES[1]: table}
-        for label, rows in shown.items():
-            times_s, depths_mm, axial_N, axial_std_N, tip_N, tip_std_N = rows.T
-            self.charts[label].data = (
-                depths_mm if label == AXES[0] else times_s,
-                axial_N,
-                axial_N + 2.0 * axial_std_N,
-                axial_N - 2.0 * axial_std_N,
-                tip_N,
-                tip_N + 2.0 * tip_std_N,
-                tip_N - 2.0 * tip_std_N,
-            )
+        times_s, depths_mm, *curves_N = table.T
+        self.over_time.data = (times_s, *curves_N)
+        is_deepest = depths_mm >= np.maximum.accumulate(depths_mm)
+        self.over_depth.data = tuple(table[is_deepest, 1:].T)

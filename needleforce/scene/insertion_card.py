@@ -90,15 +90,15 @@ def _target_html(estimate: "SessionEstimate | None", length_m: float) -> str:
     color = "#111"
     number = f"{1e3 * length_m:.1f}"
     below = "mm from the planned entry to the target"
-    if estimate is not None:
+    deviation = None if estimate is None else estimate.deviation
+    if deviation is not None and not math.isnan(deviation.to_target_m):
+        side = "past" if deviation.to_target_m < 0.0 else "to"
+        number = f"{1e3 * abs(deviation.to_target_m):.1f}"
+        below = f"± {1e3 * deviation.to_target_std_m:.1f} mm {side} the target"
+        color = _target_color(deviation)
+    elif estimate is not None:
         number = "–"
         below = "distance to the target not known"
-        deviation = estimate.deviation
-        if deviation is not None and not math.isnan(deviation.to_target_m):
-            side = "past" if deviation.to_target_m < 0.0 else "to"
-            number = f"{1e3 * abs(deviation.to_target_m):.1f}"
-            below = f"± {1e3 * deviation.to_target_std_m:.1f} mm {side} the target"
-            color = _target_color(deviation)
     return (
         f'<div data-part="target" style="color:{color};font-variant-numeric:'
         'tabular-nums"><div style="font-size:3.25rem;font-weight:700;line-height:1">'
@@ -130,15 +130,14 @@ def _bullseye_html(
     )
     view = NeedleView.along(plan.rotation.T @ path.axis)
     across = np.array([view.side, view.up]) @ plan.rotation.T
-    places = {
-        "up": (view.up, 0.2, -5.1),
-        "left": (-view.side, -5.9, -0.2),
-        "right": (view.side, 5.1, -0.2),
-    }
     sides = "".join(
         f'<text data-side="{name}" x="{x}" y="{y}" font-size="1" font-weight="bold" '
         f'fill="#111">{patient_side(direction)}</text>'
-        for name, (direction, x, y) in places.items()
+        for name, direction, x, y in (
+            ("up", view.up, 0.2, -5.1),
+            ("left", -view.side, -5.9, -0.2),
+            ("right", view.side, 5.1, -0.2),
+        )
     )
     drawn = ""
     caption = ""
@@ -174,7 +173,7 @@ def _bullseye_html(
     )
 
 
-def _place_mm(aside_m: Array, distance_m: float) -> tuple[float, float]:
+def _place_mm(aside_m: Array, distance_m: float) -> Array:
     """Return a place in the picture, whose y axis points down; outside is its edge.
 
     Args:
@@ -182,11 +181,9 @@ def _place_mm(aside_m: Array, distance_m: float) -> tuple[float, float]:
         distance_m: How far aside, as the session states it.
     """
     edge_mm = 5.5
-    norm_m = float(np.linalg.norm(aside_m))
-    if norm_m == 0.0:
-        return 0.0, 0.0
-    right, up = (min(1e3 * distance_m, edge_mm) * aside_m / norm_m).tolist()
-    return right, -up
+    norm_m = max(float(np.linalg.norm(aside_m)), np.finfo(float).tiny)
+    right, up = min(1e3 * distance_m, edge_mm) * aside_m / norm_m
+    return np.array([right, -up])
 
 
 def _nearest_html(estimate: "SessionEstimate | None", plan: PlanScene) -> str:

@@ -1,16 +1,14 @@
-"""A viewer beside a control loop: a process of its own, fed through a pipe.
+"""A viewer beside a control loop: a process of its own, fed through a queue.
 
 In the loop's own process the page would cost it a millisecond now and then; here the
-loop packs a moment fifty times a second, a thread sends it, and the loop never waits.
+loop puts a moment into the queue fifty times a second, and never waits.
 """
 
 import multiprocessing
 import os
-import pickle
-import threading
-from collections import deque
 from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
+from queue import Empty, Full
 from typing import Any
 
 import numpy as np
@@ -21,8 +19,8 @@ from needleforce.scene.nodes import EMPTY, PlanScene
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-PERIOD_s = 1.0 / 34.0
-"""Thirty updates a second are promised, and timers wake late."""
+MAX_WAITING = 1000
+"""So many moments wait for a page that hangs; further ones are lost, not time."""
 
 
 class LiveView(AbstractContextManager[Any]):
@@ -32,16 +30,11 @@ class LiveView(AbstractContextManager[Any]):
         url: Where the page is.
     """
 
-    def __init__(self, process: Any, pipe: Connection, url: str) -> None:
+    def __init__(self, process: Any, moments: Any, url: str) -> None:
         self._process = process
-        self._pipe = pipe
+        self._moments = moments
         self.url = url
         self._latest_s = -np.inf
-        # A page that hangs loses the oldest, not the loop's time or memory.
-        self._waiting: deque[bytes] = deque(maxlen=1000)
-        self._is_closed = threading.Event()
-        self._thread = threading.Thread(target=self._send, daemon=True)
-        self._thread.start()
 
     def put(self, estimate: Any, q_rad: ArrayLike) -> None:
         """Hand over a tick; never waits.
@@ -52,15 +45,8 @@ class LiveView(AbstractContextManager[Any]):
         """
         if is_kept(estimate, self._latest_s):
             self._latest_s = estimate.time_s
-            moment = Moment(np.array(q_rad, dtype=float), estimate)
-            self._waiting.append(pickle.dumps(moment))
-
-    def _send(self) -> None:
-        """Send what waits, until the end."""
-        with suppress(OSError):
-            while not self._is_closed.wait(PERIOD_s):
-                while self._waiting:
-                    self._pipe.send_bytes(self._waiting.popleft())
+            with suppress(Full):
+                self._moments.put_nowait(Moment(np.array(q_rad, dtype=float), estimate))
 
     def __exit__(self, *error: object) -> None:
         """Close it."""
@@ -68,11 +54,8 @@ class LiveView(AbstractContextManager[Any]):
 
     def close(self) -> None:
         """End the page and its process."""
-        self._is_closed.set()
-        self._thread.join(1.0)
-        self._pipe.close()
-        self._process.join(5.0)
         self._process.kill()
+        self._process.join()
 
 
 def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveView:
@@ -87,9 +70,11 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
         SceneError: The page could not be opened.
     """
     context = multiprocessing.get_context("spawn")
+    moments = context.Queue(MAX_WAITING)
+    moments.cancel_join_thread()  # what waits for a page that hangs holds no exit up
     pipe, other_end = context.Pipe()
     process = context.Process(
-        target=_serve, args=(other_end, robot, plan, settings), daemon=True
+        target=_serve, args=(other_end, moments, robot, plan, settings), daemon=True
     )
     process.start()
     other_end.close()
@@ -100,13 +85,17 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
     if not answer.startswith("http"):
         process.kill()
         raise SceneError(f"no page: {answer}", FREE_PORT)
-    return LiveView(process, pipe, answer)
+    return LiveView(process, moments, answer)
 
 
 def _serve(
-    pipe: Connection, robot: Robot, plan: PlanScene, settings: dict[str, Any]
+    pipe: Connection,
+    queue: Any,
+    robot: Robot,
+    plan: PlanScene,
+    settings: dict[str, Any],
 ) -> None:
-    """Run the page's process: show what has come, until the pipe is closed.
+    """Run the page's process: show what has come, until it is ended.
 
     It sends the address of the page, or why there is none.
     """
@@ -119,12 +108,14 @@ def _serve(
         pipe.send(f"error: {error}")
         return
     pipe.send(viewer.url)
-    with suppress(EOFError, OSError):
-        while True:
-            moments = [pickle.loads(pipe.recv_bytes())]
-            while pipe.poll():
-                moments.append(pickle.loads(pipe.recv_bytes()))
-            viewer.append(moments)
-            viewer.follow()
+    parent = multiprocessing.parent_process()
+    while parent is not None and parent.is_alive():
+        moments: list[Moment] = []
+        with suppress(Empty):
+            moments.append(queue.get(timeout=1.0))
+            while True:
+                moments.append(queue.get_nowait())
+        viewer.append(moments)
+        viewer.follow()
     # viser would wait five seconds for a browser, and end in a traceback.
     os._exit(0)

@@ -6,6 +6,7 @@ layers are those of `needleforce.anatomy`, or anything with the same names.
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,9 @@ TARGET_COLOR: Color = (0, 158, 115)
 NEAREST_COLOR: Color = (150, 0, 120)
 FORCE_COLOR: Color = (213, 94, 0)
 STD_COLOR: Color = (120, 120, 120)
+
+NEEDLE = "/needle"
+"""Frame at the tip of the needle, z along it; what moves with it stands below."""
 
 NEEDLE_LENGTH_m = 0.2
 
@@ -149,12 +153,17 @@ class ArmNodes:
                 # What the description moves and the robot lacks, it holds at zero.
                 self._shown_rad = np.zeros(len(names))
                 self._shown_joints = [names.index(name) for name in robot.joint_names]
+        self.frame = server.scene.add_frame(
+            NEEDLE,
+            show_axes=False,
+            visible=False,  # until it is known where it is
+        )
         self.needle = server.scene.add_cylinder(
-            "/needle",
+            f"{NEEDLE}/shaft",
             radius=0.8e-3,  # metres
             height=NEEDLE_LENGTH_m,
             color=NEEDLE_COLOR,
-            visible=False,  # until it is known where it is
+            position=(0.0, 0.0, -0.5 * NEEDLE_LENGTH_m),
         )
 
     def find_needle(self, q_rad: ArrayLike) -> NeedlePose:
@@ -174,14 +183,14 @@ class ArmNodes:
             joints_m = [joint.translation for joint in self._data.oMi]
             bones_m = np.array([*joints_m, needle.tip_m])
             add_line(self._server, "/bones", bones_m, (90, 100, 120), 6.0)
-        self.needle.visible = True
-        self.needle.position = needle.tip_m - 0.5 * NEEDLE_LENGTH_m * needle.axis
-        self.needle.wxyz = quaternion_along(needle.axis)
+        self.frame.visible = True
+        self.frame.position = needle.tip_m
+        self.frame.wxyz = quaternion_along(needle.axis)
         return needle
 
 
-def rotation_along(axis: Array) -> Array:
-    """Return a rotation that turns the z axis to a direction, shape (3, 3).
+def quaternion_along(axis: Array) -> Array:
+    """Return the quaternion (w, x, y, z) that turns z to a direction, shape (4,).
 
     x is turned to the right of the first view, as far as it can be.
     """
@@ -190,12 +199,8 @@ def rotation_along(axis: Array) -> Array:
     side = np.array([0.0, 0.0, 1.0]) if abs(axis @ right) >= 0.9 else right
     side = side - (side @ axis) * axis
     side = side / np.linalg.norm(side)
-    return np.column_stack([side, np.cross(axis, side), axis])
-
-
-def quaternion_along(axis: Array) -> Array:
-    """Return the quaternion (w, x, y, z) of `rotation_along`, shape (4,)."""
-    return np.roll(pin.Quaternion(rotation_along(axis)).coeffs(), 1)
+    rotation = np.column_stack([side, np.cross(axis, side), axis])
+    return np.roll(pin.Quaternion(rotation).coeffs(), 1)
 
 
 def add_line(server: Any, name: str, points_m: Array, color: Color, px: float) -> Any:
@@ -253,19 +258,51 @@ class Ring:
         self.label.visible = is_visible
 
 
-def add_plan(server: Any, plan: PlanScene) -> dict[str, Any]:
-    """Add structures, planned path, target, and a ring at every boundary.
+class ForceArrow:
+    """The tip force as an arrow beside the needle, with a bar of its deviation.
 
-    Returns:
-        Nodes of the structures by their names.
+    Args:
+        server: Of the page.
+    """
+
+    def __init__(self, server: Any) -> None:
+        line_m = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 5e-3]])
+        self.arrow = server.scene.add_arrows(
+            f"{NEEDLE}/force",
+            segments_of(line_m),
+            FORCE_COLOR,
+            shaft_radius=1.2e-3,
+            head_radius=3e-3,
+            head_length=5e-3,
+        )
+        self.bar = add_line(server, f"{NEEDLE}/std", line_m, STD_COLOR, 5.0)
+
+    def draw(self, identification: Any, is_valid: bool) -> None:
+        """Draw the tip force of a tick where it is valid and long enough."""
+        min_N = 0.02  # a shorter arrow is shorter than its head is wide
+        force_N = identification.tip_force_N
+        is_shown = is_valid and abs(force_N) >= min_N
+        self.arrow.visible = is_shown
+        self.bar.visible = is_shown
+        if is_shown:
+            m_per_N = -25e-3  # tissue pushes the tip back
+            tip_m = m_per_N * force_N
+            std_m = m_per_N * 2.0 * (identification.tip_force_std_N or 0.0)
+            arrow_m = [[6e-3, 0.0, 0.0], [6e-3, 0.0, tip_m]]
+            bar_m = [[9e-3, 0.0, tip_m - std_m], [9e-3, 0.0, tip_m + std_m]]
+            self.arrow.points = segments_of(np.array(arrow_m))
+            self.bar.points = segments_of(np.array(bar_m))
+
+
+def add_plan(server: Any, plan: PlanScene) -> None:
+    """Add structures, planned path, target, and a ring at every boundary.
 
     Raises:
         SceneError: The plan has no length.
     """
     server.scene.set_up_direction("+z")
-    structures: dict[str, Any] = {}
     for surface in plan.surfaces:
-        structures[surface.name] = server.scene.add_mesh_simple(
+        server.scene.add_mesh_simple(
             f"/anatomy/{surface.name}",
             plan.to_robot(surface.vertices_m).astype(np.float32),
             np.asarray(surface.triangles, dtype=np.uint32),
@@ -274,22 +311,21 @@ def add_plan(server: Any, plan: PlanScene) -> dict[str, Any]:
             side="double",
         )
     path = plan.path
-    if path is not None:
-        line_m = np.array([path.entry_m - PATH_LEAD_m * path.axis, path.target_m])
-        add_line(server, "/plan/path", line_m, PATH_COLOR, 2.0)
-        server.scene.add_icosphere(
-            "/plan/target", 3e-3, color=TARGET_COLOR, position=path.target_m
-        )
-        for number, layer in enumerate(plan.layers[1:], 1):
-            text = shown_name(layer.name)
-            color = PATH_COLOR
-            if layer.is_obstacle:
-                text += " (obstacle)"  # not by its colour alone
-                color = OBSTACLE_COLOR
-            ring = Ring(server, f"/plan/boundary {number}", color, text, -1.0)
-            depth_m = plan.layers[number - 1].exit_m
-            ring.move(path.entry_m + depth_m * path.axis, path.axis)
-    return structures
+    if path is None:
+        return
+    line_m = np.array([path.entry_m - PATH_LEAD_m * path.axis, path.target_m])
+    add_line(server, "/plan/path", line_m, PATH_COLOR, 2.0)
+    server.scene.add_icosphere(
+        "/plan/target", 3e-3, color=TARGET_COLOR, position=path.target_m
+    )
+    for number, (above, layer) in enumerate(pairwise(plan.layers), 1):
+        text = shown_name(layer.name)
+        color = PATH_COLOR
+        if layer.is_obstacle:
+            text += " (obstacle)"  # not by its colour alone
+            color = OBSTACLE_COLOR
+        ring = Ring(server, f"/plan/boundary {number}", color, text, -1.0)
+        ring.move(path.entry_m + above.exit_m * path.axis, path.axis)
 
 
 def color_of(parts: Sequence[float]) -> Color:
@@ -311,17 +347,17 @@ def legend_of(plan: PlanScene, *, has_needle: bool = True) -> Iterator[tuple[str
     if has_needle:
         colors += [
             (NEEDLE_COLOR, "needle (red: a warning stands above)"),
-            (FORCE_COLOR, "path of the tip; arrow: force of the tissue on the tip"),
+            (FORCE_COLOR, "arrow: force of the tissue on the tip"),
             (STD_COLOR, "bar beside the arrow: ± two standard deviations"),
             (RUPTURE_COLOR, "rupture detected"),
         ]
-    if plan.entry_m is not None:
+    if plan.path is not None:
         colors += [
             (PATH_COLOR, "planned path; rings: planned boundaries"),
             (OBSTACLE_COLOR, "planned boundary of an obstacle"),
             (TARGET_COLOR, "target"),
         ]
-    if has_needle and plan.entry_m is not None:
+    if has_needle and plan.path is not None:
         colors += [
             (EXPECTED_COLOR, "next boundary, as the ruptures moved it"),
             (NEAREST_COLOR, "line to the nearest structure at risk"),

@@ -4,7 +4,7 @@ Two planes hold the needle, one along the other across the body; the third is th
 probe's-eye view, perpendicular to it at the tip.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from scipy import ndimage
 from foundation.arrays import Array
 from needleforce.plots.needle_view import NeedleView, patient_side
 from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlannedLine, PlanScene
-
-if TYPE_CHECKING:
-    from PIL.ImageDraw import ImageDraw
 
 PIXELS = 280
 PIXEL_m = 0.4e-3
@@ -82,37 +79,26 @@ def _draw_plane(
     from PIL import Image, ImageDraw
 
     middle = PIXELS // 2
+    down, right = axes
     image = Image.fromarray(_cut(plan, tip_m, axes, tip_row)).convert("RGB")
     draw = ImageDraw.Draw(image)
     ends_m = np.array([path.entry_m, path.target_m]) - tip_m
-    rows, columns = ((ends_m @ plan.rotation @ axes.T) / PIXEL_m).T
-    line = list(
-        zip((columns + middle).tolist(), (rows + tip_row).tolist(), strict=True)
-    )
-    draw.line(line, TARGET_COLOR, width=2)
-    x, y = line[1]
+    ends_rc = ends_m @ plan.rotation @ axes.T / PIXEL_m + [tip_row, middle]
+    draw.line(ends_rc[:, ::-1].ravel().tolist(), TARGET_COLOR, width=2)
+    y, x = ends_rc[1].tolist()
     draw.rectangle((x - 5, y - 5, x + 5, y + 5), TARGET_COLOR)
-    is_across = tip_row == middle
-    if needle is not None and is_across:
-        draw.line((middle - 10, middle, middle + 10, middle), NEEDLE_COLOR, width=2)
-        draw.line((middle, middle - 10, middle, middle + 10), NEEDLE_COLOR, width=2)
+    sides = {(8, middle): -right, (PIXELS - 8, middle): right}
+    if tip_row == middle:
+        sides |= {(middle, 12): -down, (middle, PIXELS - 12): down}
+        if needle is not None:
+            draw.line((middle - 10, middle, middle + 10, middle), NEEDLE_COLOR, width=2)
+            draw.line((middle, middle - 10, middle, middle + 10), NEEDLE_COLOR, width=2)
     elif needle is not None:
         draw.line((middle, 0, middle, tip_row), NEEDLE_COLOR, width=4)
-    _write_sides(draw, axes[1], (8, middle), (PIXELS - 8, middle))
-    if is_across:
-        _write_sides(draw, axes[0], (middle, 12), (middle, PIXELS - 12))
+    for place, direction in sides.items():
+        side = patient_side(direction)
+        draw.text(place, side, NEEDLE_COLOR, anchor="mm", font_size=16)
     return np.asarray(image)
-
-
-def _write_sides(
-    draw: "ImageDraw",
-    direction: Array,
-    begin: tuple[int, int],
-    end: tuple[int, int],
-) -> None:
-    """Write the patient's sides at two opposite edges; a direction leads to the end."""
-    draw.text(begin, patient_side(-direction), NEEDLE_COLOR, anchor="mm", font_size=16)
-    draw.text(end, patient_side(direction), NEEDLE_COLOR, anchor="mm", font_size=16)
 
 
 def _cut(plan: PlanScene, tip_m: Array, axes: Array, tip_row: int) -> NDArray[np.uint8]:
@@ -126,10 +112,12 @@ def _cut(plan: PlanScene, tip_m: Array, axes: Array, tip_row: int) -> NDArray[np
     )
     scan: Any = plan.scan
     index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
-    air_HU = -1000.0  # outside the scan
-    values_HU = np.full((PIXELS, PIXELS), air_HU)
-    ndimage.map_coordinates(scan.values, index, output=values_HU, order=1, cval=air_HU)
-    low_HU = -160.0  # black
-    high_HU = 240.0  # white: soft tissue in between
-    grey = np.clip((values_HU - low_HU) / (high_HU - low_HU), 0.0, 1.0)
-    return (255.0 * grey).astype(np.uint8)
+    values_HU = ndimage.map_coordinates(
+        scan.values,
+        index,
+        output=float,
+        order=1,
+        cval=-1000.0,  # air outside the scan
+    )
+    # From black to white: soft tissue.
+    return np.interp(values_HU, (-160.0, 240.0), (0.0, 255.0)).astype(np.uint8)

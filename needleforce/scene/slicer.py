@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.extras import install_command
-from needleforce.depth_zero import DepthZero, find_depth_zero
+from needleforce.depth_zero import find_depth_zero
 from needleforce.needle_on_plan import state_values
 from needleforce.scene.moment import FREE_PORT, SceneError
 
@@ -22,13 +22,6 @@ PORT = 18944
 
 MAX_RATE_HZ = 50.0
 """So many updates are sent a second, at most."""
-
-M_TO_MM = 1e3
-
-
-def _plain(value: Any) -> float:
-    """Return a number of numpy as one that JSON knows."""
-    return value.item()
 
 
 class SlicerOutput(AbstractContextManager[Any]):
@@ -78,55 +71,44 @@ class SlicerOutput(AbstractContextManager[Any]):
         Returns:
             Whether anything was sent.
         """
-        rupture = estimate.identification.rupture
+        found = estimate.identification
+        zero = find_depth_zero(estimate)
+        rupture = found.rupture
         if rupture is not None:
-            self._send_rupture(rupture, find_depth_zero(estimate))
+            values = {
+                "layer": rupture.layer,
+                "depth_mm": zero.shown_mm(rupture.depth_m),
+                "depth_zero": zero.name,
+                "probability": rupture.probability,
+                "time_s": rupture.time_s,
+            }
+            self._send_text("Rupture", values)
         # A time before that of the last tick is that of a session which has begun anew.
         if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
 
         self._next_s = estimate.time_s + 1.0 / MAX_RATE_HZ
-        self._send_pose(pose_m)
-        self._send_forces(estimate)
+        # LPS, to the left and the back, becomes RAS, to the right and the front.
+        matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(pose_m, dtype=float)
+        matrix[:3, 3] *= 1e3  # mm
+        self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
+        forces = {
+            "force_N": estimate.wrench.axial,
+            "force_std_N": estimate.wrench.axial_std,
+            "tip_force_N": found.tip_force_N,
+            "depth_mm": zero.shown_mm(estimate.depth_m),
+            "depth_zero": zero.name,
+        }
+        self._send_text("Force", forces)
         if estimate.deviation is not None:
-            values = state_values(estimate.deviation, estimate.clearances)
-            self._send_text("Plan", values)
+            on_plan = state_values(estimate.deviation, estimate.clearances)
+            self._send_text("Plan", on_plan)
         return True
 
     def _send_text(self, name: str, values: dict[str, Any]) -> None:
         """Send values as JSON; a NaN becomes null."""
-        text = msgspec.json.encode(values, enc_hook=_plain).decode()
+        text = msgspec.json.encode(values, enc_hook=np.generic.item).decode()
         self._send(self._igtl.StringMessage(text, device_name=name))
-
-    def _send_rupture(self, rupture: Any, zero: DepthZero) -> None:
-        """Send a detected rupture."""
-        values = {
-            "layer": rupture.layer,
-            "depth_mm": zero.shown_mm(rupture.depth_m),
-            "depth_zero": zero.name,
-            "probability": rupture.probability,
-            "time_s": rupture.time_s,
-        }
-        self._send_text("Rupture", values)
-
-    def _send_pose(self, pose_m: ArrayLike) -> None:
-        """Send the needle's pose in the model, shape (4, 4)."""
-        # LPS, to the left and the back, becomes RAS, to the right and the front.
-        matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.array(pose_m, dtype=float)
-        matrix[:3, 3] *= M_TO_MM
-        self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
-
-    def _send_forces(self, estimate: Any) -> None:
-        """Send the axial force, the tip force and the depth."""
-        zero = find_depth_zero(estimate)
-        values = {
-            "force_N": estimate.wrench.axial,
-            "force_std_N": estimate.wrench.axial_std,
-            "tip_force_N": estimate.identification.tip_force_N,
-            "depth_mm": zero.shown_mm(estimate.depth_m),
-            "depth_zero": zero.name,
-        }
-        self._send_text("Force", values)
 
     def __exit__(self, *error: object) -> None:
         """Close it."""

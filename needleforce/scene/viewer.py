@@ -6,13 +6,13 @@ forces and the marks of ruptures are those of that time.
 """
 
 import threading
-from base64 import b64encode
 from bisect import bisect_right
 from collections.abc import Iterable
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +20,12 @@ from foundation.arrays import Array
 from foundation.extras import install_command
 from needleforce.needle_on_plan import CANNOT_TELL
 from needleforce.scene import nodes
+from needleforce.scene.export_page import write_scene_page
 from needleforce.scene.force_plots import ForcePlots
 from needleforce.scene.insertion_card import card_html
 from needleforce.scene.moment import FREE_PORT, Moment, SceneError
 from needleforce.scene.scan_slices import PIXELS, TITLES, PIXEL_m, draw_slices
-from needleforce.scene.time_line import TimeLine
 from needleforce.scene.words import (
-    MEANINGS,
     NOTE,
     describe_depth,
     describe_rupture,
@@ -40,11 +39,9 @@ from urdf import Robot
 HOST = "127.0.0.1"
 """The page is for this machine alone; for others, ssh forwards its port."""
 
-MAX_MOMENTS = 30_000
-"""Ten minutes of those that are kept; beyond them every second one goes."""
 
-
-class Mark(NamedTuple):
+@dataclass(slots=True)
+class Mark:
     """A detected rupture in the scene.
 
     Attributes:
@@ -60,10 +57,6 @@ class Mark(NamedTuple):
     text: str
     ring: nodes.Ring
     until_s: float = np.inf
-
-    def __str__(self) -> str:
-        """Return it in words, also whether it was retracted."""
-        return self.text if np.isinf(self.until_s) else f"{self.text}; retracted"
 
 
 def open_server(port: int, label: str) -> Any:
@@ -86,8 +79,7 @@ def open_server(port: int, label: str) -> Any:
     if not 0 <= port <= last_port:
         raise SceneError(f"port {port}; expected 0 to {last_port}", FREE_PORT)
     with redirect_stdout(StringIO()):  # viser's banner is no result
-        server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
-    return server
+        return viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
 
 
 def stop_server(server: Any) -> None:
@@ -108,7 +100,8 @@ class Viewer:
     Attributes:
         url: Where the page is.
         marks: The ruptures shown, past and to come.
-        time: The time line.
+        slider: The time line.
+        live: Box that is set while the page follows the newest.
         unread_shapes: Why the arm's shapes cannot be read; it is shown as a line then.
 
     Raises:
@@ -130,14 +123,10 @@ class Viewer:
         self.url = f"http://{HOST}:{self._server.get_port()}"
         self.marks: list[Mark] = []
         self.moments: list[Moment] = []
-        self._tips_m: list[Array] = []
         self._lock = threading.Lock()
         self._shown_s: float | None = None
-        self._is_filmed = False
-        self._cut_at: nodes.NeedlePose | None = None
         self._add_scene(robot, urdf_path)
         self._add_panels()
-        self._show_banner("")
         self._draw_slices(None)
         if self._path is not None:
             self._place_camera(self._path.entry_m)
@@ -145,52 +134,47 @@ class Viewer:
     def _add_scene(self, robot: Robot, urdf_path: Path | None) -> None:
         """Add the arm, anatomy and plan, and what moves with the needle."""
         server = self._server
-        scene = server.scene
-        self._structures = nodes.add_plan(server, self._plan)
+        nodes.add_plan(server, self._plan)
         self._arm = nodes.ArmNodes(server, robot, urdf_path)
         self.unread_shapes = self._arm.unread_shapes
-        nowhere_m = np.zeros((2, 3))
-        line = nodes.add_line
-        self._trail = line(server, "/trail", nowhere_m, nodes.FORCE_COLOR, 3.0)
-        self._nearest = line(server, "/nearest", nowhere_m, nodes.NEAREST_COLOR, 3.0)
-        self._force_std = line(server, "/force/std", nowhere_m, nodes.STD_COLOR, 5.0)
-        self._force = scene.add_arrows(
-            "/force/arrow",
-            nodes.segments_of(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 5e-3]])),
-            nodes.FORCE_COLOR,
-            shaft_radius=1.2e-3,
-            head_radius=3e-3,
-            head_length=5e-3,
+        self._nearest = nodes.add_line(
+            server, "/nearest", np.zeros((2, 3)), nodes.NEAREST_COLOR, 3.0
         )
-        self._expected = nodes.Ring(server, "/expected", nodes.EXPECTED_COLOR, "")
-        self._warning = scene.add_label("/warning", "")
-        for node in (self._trail, self._nearest, self._force_std, self._force):
-            node.visible = False
-        self._expected.show(False)
-        self._warning.visible = False
-        scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
+        self._nearest.visible = False
+        self._force = nodes.ForceArrow(server)
+        self._expected = nodes.Ring(
+            server, f"{nodes.NEEDLE}/expected", nodes.EXPECTED_COLOR, ""
+        )
+        self._warning = server.scene.add_label(
+            f"{nodes.NEEDLE}/warning",
+            "",
+            position=(0.0, 0.0, -0.1),  # so far before the tip no other label stands
+        )
+        server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
 
     def _add_panels(self) -> None:
-        """Add card, CT, state, time line, plots and structures beside the scene.
+        """Add card, CT, state, time line, plots and legend beside the scene.
 
         What must always be seen stands in the main panel; all else in a second one,
         which is folded at first on a narrow screen.
         """
         gui = self._server.gui
+        # With the button any browser could ask for a tunnel to the internet.
+        gui.configure_theme(show_logo=False, show_share_button=False)
         plan = self._plan
         self._card = gui.add_html(card_html(None, None, plan))
-        gui.add_html(text_html(*(f"Warning: {warning}" for warning in plan.warnings)))
+        warnings = [f"Warning: {warning}" for warning in plan.warnings]
+        gui.add_html(text_html(*warnings, NOTE))
         self._headline = gui.add_html(text_html("waiting for the first sample"))
         gui.main_panel.dock_left()
         panel = gui.add_panel()
         with panel.add_tab("Insertion"):
-            gui.add_html(text_html(f"needleforce – {NOTE}"))
-            self.time = TimeLine(gui, self.show)
+            self.slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+            self.slider.on_update(self._follow_hand)
+            self.live = gui.add_checkbox("live", True)
+            self._jumps = gui.add_folder("Ruptures: jump to", visible=False)
             self._plots = ForcePlots(gui)
             self._text = gui.add_html("")
-        with panel.add_tab("Structures"):
-            for name, node in sorted(self._structures.items()):
-                self._add_structure(name, node)
         with panel.add_tab("What is what"):
             for color, text in nodes.legend_of(plan):
                 square = f'<b style="color:{color};margin-left:.75rem">■</b>'
@@ -203,19 +187,7 @@ class Viewer:
             with slices.add_tab("CT at the needle"):
                 self._images = [gui.add_image(empty, label=title) for title in TITLES]
             slices.dock_below(gui.main_panel)
-
-    def _add_structure(self, name: str, node: Any) -> None:
-        """Add box and slider of a structure."""
-        gui = self._server.gui
-        box = gui.add_checkbox(shown_name(name), True)
-        slider = gui.add_slider("opacity", 0.0, 1.0, 0.02, nodes.usual_opacity(name))
-
-        def show(_event: Any) -> None:
-            node.visible = box.value
-            node.opacity = slider.value
-
-        box.on_update(show)
-        slider.on_update(show)
+        self._cut_m = np.full((2, 3), np.nan)
 
     def _place_camera(self, centre_m: Array) -> None:
         """Let browsers look at a place at first."""
@@ -225,35 +197,49 @@ class Viewer:
 
     def append(self, moments: Iterable[Moment]) -> None:
         """Add further moments, in the order of time."""
+        max_moments = 30_000  # ten minutes; beyond them every second one goes
         with self._lock:
             for moment in moments:
-                needle = self._arm.find_needle(moment.q_rad)
-                self._mark(moment, needle)
+                self._mark(moment)
                 self.moments.append(moment)
-                self._tips_m.append(needle.tip_m)
-            if len(self.moments) > MAX_MOMENTS:
-                self.moments = self.moments[::2]
-                self._tips_m = self._tips_m[::2]
+            if len(self.moments) > max_moments:
+                del self.moments[1::2]
 
-    def _mark(self, moment: Moment, needle: nodes.NeedlePose) -> None:
+    def _mark(self, moment: Moment) -> None:
         """Mark the rupture of a moment, or retract the latest one."""
         estimate = moment.estimate
-        found = estimate.identification
-        if self.marks and found.retracted is not None:
+        retracted = estimate.identification.retracted
+        rupture = estimate.identification.rupture
+        if self.marks and retracted is not None:
             latest = self.marks[-1]
-            if latest.layer == found.retracted.layer:
-                self.marks[-1] = latest._replace(until_s=estimate.time_s)
-        if found.rupture is None:
+            if latest.layer == retracted.layer:
+                latest.until_s = estimate.time_s
+        if rupture is None:
             return
-        text = describe_rupture(estimate)
-        layer = found.rupture.layer
+        needle = self._arm.find_needle(moment.q_rad)
+        label = f"rupture {rupture.layer}"
         name = f"/ruptures/{len(self.marks)}"
-        ring = nodes.Ring(self._server, name, nodes.RUPTURE_COLOR, f"rupture {layer}")
-        depth_m = found.rupture.depth_m - estimate.depth_m
+        ring = nodes.Ring(self._server, name, nodes.RUPTURE_COLOR, label)
+        depth_m = rupture.depth_m - estimate.depth_m
         ring.move(needle.tip_m + depth_m * needle.axis, needle.axis)
         ring.show(False)  # until its time is shown
-        self.marks.append(Mark(estimate.time_s, layer, text, ring))
-        self.time.add_jump(estimate.time_s, f"rupture {layer}")
+        text = describe_rupture(estimate)
+        self.marks.append(Mark(estimate.time_s, rupture.layer, text, ring))
+        self._jumps.visible = True
+        with self._jumps:
+            button = self._server.gui.add_button(f"{estimate.time_s:.1f} s: {label}")
+        button.on_click(lambda _event: self.jump(estimate.time_s))
+
+    def jump(self, time_s: float) -> None:
+        """Show a time, and stop there."""
+        self.live.value = False
+        self.slider.value = round(time_s, 2)
+        self.show(time_s)
+
+    def _follow_hand(self, event: Any) -> None:
+        """Show the time that somebody has moved the time line to."""
+        if event.client is not None:  # by hand, not by the program
+            self.jump(self.slider.value)
 
     def show(self, time_s: float | None = None) -> None:
         """Show the state at a time, by default the newest."""
@@ -262,8 +248,10 @@ class Viewer:
                 return
             index = len(self.moments) - 1
             if time_s is not None:
-                times_s = [moment.estimate.time_s for moment in self.moments]
-                index = max(bisect_right(times_s, time_s) - 1, 0)
+                later = bisect_right(
+                    self.moments, time_s, key=lambda moment: moment.estimate.time_s
+                )
+                index = max(later - 1, 0)
             shown_s = self.moments[index].estimate.time_s
             if shown_s != self._shown_s:
                 self._draw(index)
@@ -271,7 +259,7 @@ class Viewer:
 
     def follow(self) -> None:
         """Show the newest, unless somebody has moved the time line."""
-        if self.time.live.value:
+        if self.live.value:
             self.show()
 
     def open_recording(self) -> None:
@@ -279,96 +267,58 @@ class Viewer:
         if not self.moments:
             return
         start_s = self.moments[0].estimate.time_s
-        self.time.live.visible = False
-        self.time.set_span(start_s, self.moments[-1].estimate.time_s)
-        self.time.jump(start_s)
+        self.live.visible = False
+        self.slider.max = max(self.moments[-1].estimate.time_s, start_s + 0.01)
+        self.slider.min = start_s
+        self.jump(start_s)
 
     def _draw(self, index: int) -> None:
         """Draw the moment of an index, and what had happened until then."""
         moment = self.moments[index]
         estimate = moment.estimate
+        time_s = estimate.time_s
         with self._server.atomic():
             needle = self._arm.update(moment.q_rad)
-            self._draw_verdict(moment, needle)
-            self._draw_marks(moment, needle)
+            banner = find_banner(estimate)
+            is_red = banner not in ("", CANNOT_TELL)
+            color = nodes.WARNING_COLOR if is_red else nodes.NEEDLE_COLOR
+            self._arm.needle.color = color
+            self._warning.visible = bool(banner)
+            self._warning.text = banner.upper()
+            known = [
+                mark for mark in self.marks if mark.time_s <= time_s < mark.until_s
+            ]
+            for mark in self.marks:
+                mark.ring.show(mark in known)
+            self._draw_expected(moment)
             self._draw_nearest(moment, needle)
-            self._draw_force(moment, needle)
-            self._draw_trail(index)
+            is_valid = estimate.status.value == "ok"
+            self._force.draw(estimate.identification, is_valid)
             deviation = estimate.deviation
             is_far = deviation is not None and deviation.depth_m < -nodes.PATH_LEAD_m
             self._draw_slices(None if is_far else needle)
             self._card.content = card_html(estimate, needle, self._plan)
             tip_N = estimate.identification.tip_force_N
             self._headline.content = text_html(
-                f"{estimate.time_s:.1f} s, {describe_depth(estimate)}; "
-                f"tip force {tip_N:.2f} N"
+                f"{time_s:.1f} s, {describe_depth(estimate)}; tip force {tip_N:.2f} N"
             )
-            known = [f"• {mark.text}" for mark in self._known_marks(estimate.time_s)]
-            self._text.content = text_html(*known, *describe_state(estimate))
+            ruptures = [f"• {mark.text}" for mark in known]
+            self._text.content = text_html(*ruptures, *describe_state(estimate))
             self._plots.draw(self.moments[: index + 1])
-            if self.time.live.value:
-                self.time.set_span(0.0, estimate.time_s)
-                self.time.slider.value = round(estimate.time_s, 2)
+            if self.live.value:
+                self.slider.max = max(time_s, 0.01)
+                self.slider.value = round(time_s, 2)
         if self._shown_s is None and self._path is None:
             self._place_camera(needle.tip_m)
 
-    def _known_marks(self, time_s: float) -> list[Mark]:
-        """Return the ruptures that stood at a time."""
-        return [mark for mark in self.marks if mark.time_s <= time_s < mark.until_s]
-
-    def _draw_verdict(self, moment: Moment, needle: nodes.NeedlePose) -> None:
-        """Turn the needle red and say so while it is off the plan or too deep."""
-        banner = find_banner(moment.estimate)
-        is_red = banner not in ("", CANNOT_TELL)
-        self._arm.needle.color = nodes.WARNING_COLOR if is_red else nodes.NEEDLE_COLOR
-        self._show_banner(banner)
-        self._warning.visible = bool(banner)
-        self._warning.text = banner.upper()
-        # So far before the tip no other label stands.
-        self._warning.position = needle.tip_m - 0.1 * needle.axis
-
-    def _show_banner(self, banner: str) -> None:
-        """Show a verdict in the title bar, which a narrow screen shows, too.
-
-        It is a picture there: buttons vanish in a menu on a narrow screen.
-        """
-        warnings = [f"Warning: {warning}." for warning in self._plan.warnings]
-        said = [f"{banner.upper()}: {MEANINGS[banner]}."] if banner else []
-        shown = banner.upper() or ("⚠ warnings" if warnings else "")
-        color = "#b3261e" if banner else "#8a5a00"
-        svg = (
-            '<svg xmlns="http://www.w3.org/2000/svg" width="260" height="28" '
-            'font-family="sans-serif" font-size="13"><text x="0" y="19" '
-            f'fill="{color}" font-weight="bold">{shown}</text>'
-            '<text x="110" y="19">Not a medical device</text></svg>'
-        )
-        picture = b64encode(svg.encode()).decode()
-        image = {
-            "image_url_light": f"data:image/svg+xml;base64,{picture}",
-            "image_url_dark": None,
-            "image_alt": " ".join((*said, NOTE, *warnings)),
-            "href": None,
-        }
-        # A film has no title bar: what it said at the end would stand over all of it.
-        content = None if self._is_filmed else {"buttons": (), "image": image}
-        # Without the button any browser could ask for a tunnel to the internet.
-        self._server.gui.configure_theme(
-            titlebar_content=content,
-            show_logo=False,
-            show_share_button=False,
-        )
-
-    def _draw_marks(self, moment: Moment, needle: nodes.NeedlePose) -> None:
-        """Show the ruptures known at a moment, and where the next one is expected."""
-        known = self._known_marks(moment.estimate.time_s)
-        for mark in self.marks:
-            mark.ring.show(mark in known)
+    def _draw_expected(self, moment: Moment) -> None:
+        """Show where the next boundary is expected."""
         plan = moment.estimate.plan
         is_expected = plan is not None and bool(np.isfinite(plan.next_m))
         self._expected.show(is_expected)
         if plan is not None and is_expected:
-            distance_m = plan.next_m - moment.estimate.depth_m
-            self._expected.move(needle.tip_m + distance_m * needle.axis, needle.axis)
+            ahead_m = plan.next_m - moment.estimate.depth_m
+            self._expected.line.position = (0.0, 0.0, ahead_m)
             self._expected.label.text = f"{shown_name(plan.next_name)}, expected"
 
     def _draw_nearest(self, moment: Moment, needle: nodes.NeedlePose) -> None:
@@ -389,54 +339,16 @@ class Viewer:
         color = nodes.WARNING_COLOR if nearest.is_too_near else nodes.NEAREST_COLOR
         self._nearest.colors = np.array(color, np.uint8)
 
-    def _draw_force(self, moment: Moment, needle: nodes.NeedlePose) -> None:
-        """Draw the tip force as an arrow beside the needle, with its deviation."""
-        m_per_N = 25e-3
-        min_N = 0.02  # a shorter arrow is shorter than its head is wide
-        found = moment.estimate.identification
-        is_valid = moment.estimate.status.value == "ok"
-        is_shown = is_valid and abs(found.tip_force_N) >= min_N
-        self._force.visible = is_shown
-        self._force_std.visible = is_shown
-        if not is_shown:
-            return
-        side = nodes.rotation_along(needle.axis)[:, 0]
-        tissue = -m_per_N * needle.axis  # pushes the tip back
-        std_N = 2.0 * (found.tip_force_std_N or 0.0)
-        start_m = needle.tip_m + 6e-3 * side
-        ends_m = np.outer([0.0, found.tip_force_N], tissue)
-        self._force.points = nodes.segments_of(start_m + ends_m)
-        bar_N = [found.tip_force_N - std_N, found.tip_force_N + std_N]
-        bar_m = start_m + 3e-3 * side + np.outer(bar_N, tissue)
-        self._force_std.points = nodes.segments_of(bar_m)
-
-    def _draw_trail(self, index: int) -> None:
-        """Draw the path of the tip in tissue until a moment."""
-        step = index // 200 + 1
-        tips_m = [
-            tip_m
-            for tip_m, (_, estimate) in zip(
-                self._tips_m[: index + 1 : step],
-                self.moments[: index + 1 : step],
-                strict=True,
-            )
-            if estimate.depth_in_tissue_m is not None
-        ]
-        self._trail.visible = len(tips_m) > 1
-        if len(tips_m) > 1:
-            self._trail.points = nodes.segments_of(np.array(tips_m))
-
     def _draw_slices(self, needle: nodes.NeedlePose | None) -> None:
         """Draw the CT at the needle, or at the planned target, if anything moved."""
         if self._path is None or not self._images:
             return
         place = needle or nodes.NeedlePose(self._path.target_m, self._path.axis)
-        if self._cut_at is not None:
-            travel_m = np.linalg.norm(place.tip_m - self._cut_at.tip_m)
-            turn_m = np.linalg.norm(place.axis - self._cut_at.axis) * PIXELS * PIXEL_m
-            if max(travel_m, turn_m) < PIXEL_m:
-                return
-        self._cut_at = place
+        shown_m = PIXELS * PIXEL_m * place.axis
+        cut_m = np.array([place.tip_m, place.tip_m - shown_m])
+        if np.allclose(cut_m, self._cut_m, rtol=0.0, atol=PIXEL_m):
+            return
+        self._cut_m = cut_m
         pictures = draw_slices(self._plan, self._path, needle)
         for image, picture in zip(self._images, pictures, strict=True):
             image.image = picture
@@ -453,12 +365,8 @@ class Viewer:
             SceneError: Nothing has come, or the file cannot be written.
             MissingExtraError: jinja2 is not installed.
         """
-        from needleforce.scene.export_page import write_scene_page
-
         if not self.moments:
             raise SceneError("nothing to export: no moment has come")
-        self._is_filmed = True
-        self._show_banner("")
         serializer = self._server.get_scene_serializer()
         start_s = self.moments[0].estimate.time_s
         end_s = max(self.moments[-1].estimate.time_s, start_s + 0.05)
@@ -467,11 +375,11 @@ class Viewer:
         for time_s, step_s in zip(shown_s, np.diff(shown_s, append=end_s), strict=True):
             self.show(float(time_s))
             serializer.insert_sleep(float(step_s))
-        scene = serializer.as_html()  # before the title bar is back
-        self._is_filmed = False
-        self._show_banner(find_banner(self.moments[-1].estimate))
-        ruptures = [f"{mark.time_s - start_s:.1f} s: {mark}" for mark in self.marks]
-        return write_scene_page(Path(path), scene, self._plan, ruptures)
+        ruptures: list[str] = []
+        for mark in self.marks:
+            end = "; retracted" if np.isfinite(mark.until_s) else ""
+            ruptures.append(f"{mark.time_s - start_s:.1f} s: {mark.text}{end}")
+        return write_scene_page(Path(path), serializer.as_html(), self._plan, ruptures)
 
     def stop(self) -> None:
         """Close the page."""

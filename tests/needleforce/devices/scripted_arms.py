@@ -14,7 +14,7 @@ import struct
 import sys
 import threading
 import time
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -270,17 +270,23 @@ class Ur(ScriptedClient):
     cycle_s = 2e-3
     joints = 6
 
+    takes_velocity = True
+    settings = MappingProxyType({"takes_commands": True})
+
     def open_arm(self, robot):
-        self.takes_velocity = True
-        library = SimpleNamespace(
+        with mock.patch.object(ur, "import_client", return_value=self.library):
+            return UrArm(robot=robot, **self.settings)
+
+    @property
+    def library(self):
+        self.is_connected = True
+        return SimpleNamespace(
             RTDEReceiveInterface=lambda *_: self, RTDEControlInterface=lambda *_: self
         )
-        with mock.patch.object(ur, "import_client", return_value=library):
-            return UrArm(takes_commands=True, robot=robot)
 
     def isConnected(self):
         self.pass_time()
-        return True
+        return self.is_connected
 
     def getTimestamp(self):
         return self.time_s

@@ -1,7 +1,6 @@
 """A haptic device through its local service, which the tests play."""
 
 import json
-import socket
 import threading
 import time
 from contextlib import contextmanager, suppress
@@ -120,39 +119,6 @@ def test_silence_is_one_outage_and_asks_again():
     assert len(asked) == 5  # every 0.1 s
     assert master.report.outages == 1
     assert 0.3 < master.report.longest_gap_s < PATIENCE_S
-
-
-def test_a_service_that_takes_no_leave_is_left():
-    """It reads nothing at all, and answers no close."""
-    protocols = pytest.importorskip("websockets.server")
-    long_id = json.dumps(GOOD).replace('"a"', f'"{"a" * 900_000}"')
-    is_over = threading.Event()
-
-    def serve(connections):
-        connection, _ = connections.accept()
-        protocol = protocols.ServerProtocol()
-        protocol.receive_data(connection.recv(4096))
-        (request,) = protocol.events_received()
-        protocol.send_response(protocol.accept(request))
-        protocol.send_text(long_id.encode())
-        for data in protocol.data_to_send():
-            connection.sendall(data)
-        is_over.wait()
-        connection.close()
-
-    with socket.create_server(("127.0.0.1", 0)) as connections:
-        thread = threading.Thread(target=serve, args=(connections,), daemon=True)
-        thread.start()
-        address = f"ws://127.0.0.1:{connections.getsockname()[1]}"
-        with HaplyMaster(address) as master:
-            assert read_one(master) is not None
-            for _ in range(20):  # more than the kernel keeps
-                time.sleep(0.11)
-                master.read()
-            begin_s = time.monotonic()
-        assert time.monotonic() - begin_s < 5.0
-        is_over.set()
-        thread.join()
 
 
 def test_an_absent_service_and_no_force_are_refused():

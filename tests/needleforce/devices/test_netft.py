@@ -1,9 +1,7 @@
 """An ATI Net F/T: records byte for byte, and an emulated box."""
 
-import http.server
 import socket
 import struct
-import threading
 import time
 
 import numpy as np
@@ -146,18 +144,10 @@ def test_foreign_datagrams_never_reach_a_force_sensor():
         assert box.link.report.used == 0
 
 
-def served(page):
-    """The address of a page of a sensor."""
-
-    class Page(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response_only(200)
-            self.end_headers()
-            self.wfile.write(page.encode())
-
-    server = http.server.HTTPServer(("127.0.0.1", 0), Page)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    return f"http://127.0.0.1:{server.server_address[1]}/"
+@pytest.fixture
+def page(tmp_path):
+    """The page of a sensor."""
+    return tmp_path / "netftapi2.xml"
 
 
 @pytest.mark.parametrize(
@@ -170,19 +160,20 @@ def served(page):
         ("<scalfu>N</scalfu><scaltu>N-mm</scaltu>", "N-mm"),
     ],
 )
-def test_counts_per_other_units_are_refused(units, word):
-    url = served(f"<ft>{units}<calcpf>1000</calcpf><calcpt>2000</calcpt></ft>")
+def test_counts_per_other_units_are_refused(units, word, page):
+    page.write_text(f"<ft>{units}<calcpf>1000</calcpf><calcpt>2000</calcpt></ft>")
     if word is None:
-        assert read_scale(url) == (1000.0, 2000.0)
+        assert read_scale(page.as_uri()) == (1000.0, 2000.0)
     else:
         with pytest.raises(LinkError, match=word):
-            read_scale(url)
+            read_scale(page.as_uri())
 
 
-@pytest.mark.parametrize("page", ["<ft>", "<ft/>", "<ft><calcpf>many</calcpf></ft>"])
-def test_a_page_without_counts_is_refused(page):
+@pytest.mark.parametrize("text", ["<ft>", "<ft/>", "<ft><calcpf>many</calcpf></ft>"])
+def test_a_page_without_counts_is_refused(text, page):
+    page.write_text(text)
     with pytest.raises(LinkError, match="counts"):
-        read_scale(served(page))
+        read_scale(page.as_uri())
 
 
 @pytest.mark.parametrize(

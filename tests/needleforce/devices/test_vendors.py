@@ -2,10 +2,13 @@
 
 import fcntl
 import os
+import re
 import signal
 import sys
 import time
 from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -19,15 +22,13 @@ from needleforce.devices import (
     MissingClientError,
     UrArm,
     connect_arm,
+    ur,
 )
 from needleforce.devices.emulators import Emulator
 from needleforce.recordings import read_log
 from tests.needleforce.devices.franka_sim_process import HOST, emulate_fr3
-from tests.needleforce.devices.ur_emulator import emulate_ur
+from tests.needleforce.devices.scripted_arms import Ur
 
-ROWS = np.random.default_rng(0).normal(size=(3, 1000, 6))
-STILL = np.zeros((3, 1, 6))
-UR_WISH_rad_s = np.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.3])
 FR3_WISH_rad_s = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
 
 
@@ -46,11 +47,6 @@ def fr3():
     pytest.importorskip("franky_sim")
     with Emulator(emulate_fr3) as simulator:
         yield simulator
-
-
-def ur(rows=STILL):
-    pytest.importorskip("rtde_control")
-    return Emulator(emulate_ur, rows)
 
 
 def drive(arm, velocity_rad_s):
@@ -120,76 +116,62 @@ def test_an_fr3_that_falls_silent_is_reported_and_lost(fr3, is_commanded):
         assert not (is_commanded and arm.send(np.zeros(7)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ends", ["error", "silence", "hang"])
-def test_a_ur_is_driven_and_stopped_on_every_way_out(ends):
-    with ur() as emulator:
-        arm = connect_arm("ur:127.0.0.1", takes_commands=True)
-        readings = iter(arm)
-        try:
-            with arm:
-                for number in range(300):
-                    reading = next(readings)
-                    if number < 200 or ends != "silence":
-                        drive(arm, UR_WISH_rad_s)
-                if ends == "error":
-                    raise ZeroDivisionError
-                if ends == "hang":
-                    time.sleep(4.0)  # the emulator's watchdog bears 3 s
-                    with pytest.raises(LinkError, match="stopped"):
-                        list(readings)
-        except ZeroDivisionError:
-            assert ends == "error"
-        assert not arm.send(UR_WISH_rad_s)
-        counts = emulator.stop()
-    moved_rad = counts["moved_rad"]
+class ReadUr(Ur):
+    """One that is only read."""
 
-    assert moved_rad[5] > 0.03
-    assert moved_rad == pytest.approx(UR_WISH_rad_s / 0.3 * moved_rad[5], abs=1e-2)
-    assert counts["watchdog_ended"] is (ends == "hang")
-    assert not counts["is_running"]
-    assert counts["stops"] == (ends != "hang")
-    assert counts["watchdog_Hz"] == 10.0
-    assert ends != "silence" or not reading.dq_rad_s.any()
+    settings = MappingProxyType(
+        {"torque_constant_Nm_A": np.arange(1.0, 7.0), "give_up_s": 20.0}
+    )
+
+    def getActualCurrent(self):
+        return [1.0, -2.0, 3.0, 4.0, 5.0, 6.0]
 
 
-@pytest.mark.slow
-def test_a_ur_that_was_lost_is_connected_to_again():
-    with ur() as first, UrArm(give_up_s=20.0) as arm:
-        readings = iter(arm)
-        list(islice(readings, 50))
-        lost_s = time.monotonic()
-        first.__exit__()
-        with ur():
-            back = next(reading for reading in readings if reading.dt_s > 0.5)
-            passed_s = time.monotonic() - lost_s
-            assert next(readings).dt_s < 0.5
+def test_a_ur_reads_currents_and_known_torques():
+    readings = {}
+    for kind in (Ur, ReadUr):
+        scripted = kind()
+        scripted.send()
+        readings[kind] = next(scripted.readings)
+        scripted.close()
 
-    assert back.dt_s <= passed_s + 0.1
-    assert arm.report.outages >= 1
+    assert readings[Ur].tau_Nm is None
+    assert readings[ReadUr].current_A.tolist() == [1.0, -2.0, 3.0, 4.0, 5.0, 6.0]
+    assert readings[ReadUr].tau_Nm.tolist() == [1.0, -4.0, 9.0, 16.0, 25.0, 36.0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("has_constants", [True, False])
-def test_a_ur_recording_has_currents_and_known_torques(has_constants, tmp_path, capsys):
-    constants = np.arange(1.0, 7.0)
-    path = tmp_path / "ur.npz"
-    options = ["--motor-constants", *map(str, constants)] if has_constants else []
-    with ur(ROWS):
-        name = ["ur:127.0.0.1", "--seconds", "0.4", *options]
-        assert main(["record", *name, "-o", str(path)]) == 0
-        assert has_constants or main(["live", *name]) == 2
-    table = np.load(path)
-    [row] = np.flatnonzero((ROWS[0] == table["q_rad"][-1]).all(axis=1))
+def test_a_ur_that_was_lost_is_connected_to_again(monkeypatch):
+    scripted = ReadUr()
+    monkeypatch.setattr(ur, "import_client", lambda *_: scripted.library)
+    scripted.run_freely()
+    list(islice(scripted.readings, 50))
+    scripted.is_connected = False
+    lost_s = time.monotonic()
+    back = next(reading for reading in scripted.readings if reading.dt_s > 0.3)
 
-    assert len(table["current_A"]) > 50
-    assert np.array_equal(table["dq_rad_s"][-1], ROWS[1, row])
-    assert np.array_equal(table["current_A"][-1], ROWS[2, row])
-    assert ("--motor-constants" in capsys.readouterr().err) != has_constants
-    if has_constants:
-        assert np.array_equal(table["tau_Nm"], constants * table["current_A"])
-    else:
-        assert "tau_Nm" not in table
+    assert back.dt_s <= time.monotonic() - lost_s + 0.1
+    assert scripted.arm.report.outages >= 1
+    scripted.close()
+
+
+def test_a_closed_ur_has_stopped_and_ended_its_program():
+    scripted = Ur()
+    scripted.close()
+
+    assert not scripted.isProgramRunning()
+
+
+@pytest.mark.parametrize("module", ["rtde_control", "rtde_receive"])
+def test_the_client_of_a_ur_has_what_the_driver_calls(module):
+    interface, prefix = {
+        "rtde_control": ("RTDEControlInterface", "control"),
+        "rtde_receive": ("RTDEReceiveInterface", "receiver"),
+    }[module]
+    source = Path(ur.__file__).read_text(encoding="utf-8")
+    calls = set(re.findall(rf"{prefix}\.(\w+)\(", source))
+
+    assert len(calls) >= 5
+    assert calls <= set(dir(getattr(pytest.importorskip(module), interface)))
 
 
 @pytest.mark.parametrize(

@@ -31,9 +31,6 @@ from needleforce.recordings.time_stamps import (
 from needleforce.recordings.writers import standard_types
 from tests.needleforce.recordings.bag_samples import START_NS, mapped
 
-SMALL = 8 << 20  # bytes
-BOMB = 64 << 20
-
 
 def array_bytes(**arrays):
     stream = io.BytesIO()
@@ -227,25 +224,32 @@ def test_damaged_bytes_are_read_or_refused(tmp_path_factory, suffix, where, byte
         return
 
 
-@pytest.mark.parametrize("suffix", ["parquet", "npz", "csv.gz"])
-def test_what_unpacks_beyond_the_limit_is_refused_within_it(tmp_path, suffix):
+@pytest.mark.parametrize("suffix", ["parquet", "npz", "h5", "csv.gz"])
+def test_what_unpacks_beyond_the_limit_is_refused_within_it(
+    tmp_path, monkeypatch, suffix
+):
+    writers = {
+        "parquet": lambda x: pq.write_table(pa.table({"t": x}), path),
+        "npz": lambda x: np.savez_compressed(path, t=x),
+        "h5": lambda x: h5py.File(path, "w").create_dataset(
+            "t", data=x, compression="gzip"
+        ),
+        "csv.gz": lambda x: path.write_bytes(gzip.compress(b"0,1\n" * x.size)),
+    }
     path = tmp_path / f"x.{suffix}"
-    zeros = np.zeros(BOMB // 8)
-    if suffix == "parquet":
-        pq.write_table(pa.table({"t": zeros}), path)
-    elif suffix == "npz":
-        path.write_bytes(array_bytes(t=zeros))
-    else:
-        path.write_bytes(gzip.compress(b"t,f\n" + b"0,1\n" * (BOMB // 4)))
+    writers[suffix](np.zeros(9))
+    read_table(path)  # imports take memory, too
+    writers[suffix](np.zeros(1 << 21))
+    limit = 1 << 20
+    assert path.stat().st_size < limit
+    monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", limit)
 
-    del zeros
-    assert path.stat().st_size < SMALL
     tracemalloc.start()
-    with pytest.raises(FormatError, match="max_bytes"):
-        read_table(path, max_bytes=SMALL)
+    with pytest.raises(FormatError, match="limit"):
+        read_table(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 4 * SMALL
+    assert peak < 4 * limit
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

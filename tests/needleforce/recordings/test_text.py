@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from needleforce.recordings import FormatError, read_log, read_table
+from needleforce.recordings import FormatError, LogError, read_log, read_table
 
 ROWS = 300
 TIME_S = np.arange(ROWS) / 100.0
@@ -186,16 +186,15 @@ def test_a_table_of_results_is_not_taken_for_the_recording(write):
     assert_is_the_log(read_log(write(text), required=("depth", "force")))
 
 
-def test_times_of_a_clock_are_seconds_also_over_midnight(write):
-    path = write(
-        "No.,Time(h:m:s),Position(mm),Force(N)\n"
-        "1,23:59:59.980,1,2\n2,23:59:59.990,1,2\n3,0:00:00.000,1,2\n4,,1,2\n"
-        "5,00:00:00.020,1,2\n"
-    )
-    log = read_log(path, required=("depth", "force"))
+def test_times_of_a_clock_are_seconds_of_one_day(write):
+    header = "No.,Time(h:m:s),Position(mm),Force(N)\n"
+    rows = "1,23:59:59.970,1,2\n2,23:59:59.980,1,2\n3,,1,2\n4,23:59:59.990,1,2\n"
+    log = read_log(write(header + rows), required=("depth", "force"))
 
-    np.testing.assert_allclose(log.t_s, [86399.98, 86399.99, 86400.0, 86400.02])
+    np.testing.assert_allclose(log.t_s, [86399.97, 86399.98, 86399.99])
     assert log.left_out == 1
+    with pytest.raises(LogError, match="set back"):
+        read_log(write(header + rows + "5,00:00:00.000,1,2\n"))
 
 
 def test_dates_with_times_lose_no_nanosecond(write):

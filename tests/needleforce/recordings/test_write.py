@@ -3,7 +3,7 @@ trace."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.highlevel import AnyReader
@@ -38,6 +38,7 @@ def test_numbers_and_stamps_read_back_bit_for_bit(
 ):
     since_ns = np.cumsum([0, *steps_ns])[: len(values)]
     values[0] = np.arange(values.shape[1])
+    assume(np.isfinite(values).all(axis=1).mean() > 0.8)  # else of two clocks
     channels = {"q_rad": values, "tau_Nm": values[::-1], "depth_m": values[:, 0]}
     path = tmp_path_factory.mktemp("log") / f"x.{suffix}"
     write_log(path, Log(t_s=since_ns / 1e9, channels=channels, start_ns=start_ns))

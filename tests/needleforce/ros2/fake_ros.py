@@ -37,6 +37,19 @@ class Message(SimpleNamespace):
         return 0
 
 
+def joint_state_of(names, at_s):
+    """A joint state of an arm at rest."""
+    sec, nanosec = divmod(round(1e9 * at_s), 10**9)
+    zeros = [0.0] * len(names)
+    return Message(
+        header=Message(stamp=Message(sec=sec, nanosec=nanosec)),
+        name=list(names),
+        position=[0.1] * len(names),
+        velocity=zeros,
+        effort=zeros,
+    )
+
+
 class Graph:
     """Topics, with what was published on them, and all else that a node has."""
 

@@ -14,7 +14,12 @@ from needleforce.cli import main
 from needleforce.ros2 import MissingRosError, Ros2ParameterError, require_ros
 from needleforce.ros2.reports import layer_reports
 from tests.insertion_run import insert, short_run
-from tests.needleforce.ros2.fake_ros import Graph, Message, installed_ros
+from tests.needleforce.ros2.fake_ros import (
+    Graph,
+    Message,
+    installed_ros,
+    joint_state_of,
+)
 from tests.needleforce.ros2.layouts import (
     FOLDER,
     RVIZ_TYPES,
@@ -46,19 +51,8 @@ def start(graph, robot=None, **parameters):
     return node
 
 
-def stamped(at_s, **fields):
-    """A message with a stamp."""
-    sec, nanosec = divmod(round(1e9 * at_s), 10**9)
-    return Message(header=Message(stamp=Message(sec=sec, nanosec=nanosec)), **fields)
-
-
 def state(at_s, names=JOINTS):
-    """A joint state of an arm at rest."""
-    zeros = [0.0] * len(names)
-    position = [0.1] * len(names)
-    return stamped(
-        at_s, name=list(names), position=position, velocity=zeros, effort=zeros
-    )
+    return joint_state_of(names, at_s)
 
 
 @pytest.fixture

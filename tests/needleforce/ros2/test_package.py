@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from needleforce.cli import main, run_ros2_node
+from needleforce.cli import main
 from tests.insertion_run import cut, short_run
 from tests.needleforce.ros2.layouts import FOLDER, RVIZ_TYPES, foxglove_topics
 
@@ -135,10 +135,3 @@ def metadata_version():
     """Version of the Python package."""
     project = tomllib.loads((FOLDER.parents[1] / "pyproject.toml").read_text())
     return project["project"]["version"]
-
-
-def test_the_executable_of_the_package_is_the_command(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["node", "--help"])
-
-    assert run_ros2_node() == 0
-    assert "joint_states in" in capsys.readouterr().out

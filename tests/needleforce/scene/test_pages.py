@@ -2,13 +2,13 @@
 
 import errno
 import os
+import signal
 import threading
 import time
 from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,7 +215,6 @@ def write_report(named, path):
         heading=named("heading"),
         anchor=named('anchor" onclick="'),
         paragraphs=(named("text"),),
-        command=named("command"),
         tables=(table,),
     )
     lead = (named("warning"),)
@@ -238,7 +237,7 @@ def test_the_page_is_used_in_a_browser():
                 ".find(b => b.innerText.startsWith('6.0 s: rupture 1')).click()"
             )
             assert page.wait_for(f"{text}.includes('rupture 1 at 12.0 mm')")
-            assert viewer.time.slider.value == 6.0
+            assert viewer.slider.value == 6.0
             page.evaluate(
                 "(() => { const s = document.querySelector('[role=slider]'); s.focus();"
                 "s.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home',"
@@ -273,23 +272,15 @@ def test_a_loop_hands_ticks_to_a_page_process():
     assert not view._process.is_alive()
 
 
-def test_a_page_that_hangs_holds_no_loop_up(monkeypatch):
-    from needleforce.scene.live import LiveView
-
-    class Pipe:
-        def send_bytes(self, _):
-            threading.Event().wait(20.0)
-
-        def close(self):
-            pass
-
-    process = SimpleNamespace(join=lambda seconds: None, kill=lambda: None)
-    view = LiveView(process, Pipe(), "")
-    for k in range(3000):
-        view.put(tick(0.02 * k), HOME)
-
-    assert len(view._waiting) == 1000
-    view.close()
+@pytest.mark.slow
+def test_a_page_that_hangs_holds_no_loop_up():
+    with open_viewer(load_lwr(), port=8681) as view:
+        os.kill(view._process.pid, signal.SIGSTOP)
+        start_s = time.monotonic()
+        for k in range(3000):
+            view.put(tick(0.02 * k), HOME)
+        assert time.monotonic() - start_s < 2.0
+    assert not view._process.is_alive()
 
 
 @pytest.mark.slow
