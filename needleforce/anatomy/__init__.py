@@ -8,8 +8,8 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `structures`, `segmentation`, `body`, `body_order`,
-`scan_agreement`, `path_layers`, `clearance`, `surface`, `labels`, `scan_files`,
+Reading order: `volume`, `structures`, `body`, `label_checks`,
+`path_layers`, `clearance`, `surface`, `labels`, `scan_files`,
 `label_files`, `registration`, `landmarks`, `landmark_frame`, `touch_problem`,
 `patient_motion`, `surface_fit`, `markups`, `transform_file`, `path_search`,
 `needle_surroundings`, `plan_match`, `rupture_model`.

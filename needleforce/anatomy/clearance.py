@@ -18,8 +18,7 @@ from scipy.spatial import KDTree
 from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from needleforce.anatomy.errors import OTHER_PATH, PlanError, VolumeError
-from needleforce.anatomy.segmentation import Segmentation
-from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.structures import Segmentation, Structure
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""

@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from needleforce.anatomy.body import find_body, resample_nearest
 from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
+from needleforce.anatomy.label_checks import check_against_scan
 from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
-from needleforce.anatomy.scan_agreement import check_against_scan
-from needleforce.anatomy.segmentation import Segmentation
-from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.structures import Segmentation, Structure
 from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
 from needleforce.anatomy.volume import Volume
 

@@ -20,8 +20,7 @@ from needleforce.anatomy.path_search import (
     PathLimits,
     SkinPath,
     find_paths,
-    judge_path,
-    orient_line,
+    judge_line,
 )
 from needleforce.cli.patient.case_files import (
     MODULES,
@@ -99,12 +98,12 @@ def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
     )
     labels = case.labels
     avoid = _names_to_avoid(labels, files.target, wish)
-    target, target_m, entry_m = _find_target(files.target, labels)
-    if entry_m is None:
+    target, points_m = _find_target(files.target, labels)
+    if len(points_m) == 1:
         with progress_bar("searching paths") as progress:
-            found = find_paths(labels, target_m, avoid, limits, progress)
+            found = find_paths(labels, points_m[0], avoid, limits, progress)
     else:
-        path = judge_path(labels, entry_m, target_m, limits)
+        path = judge_line(labels, points_m, limits)
         _require_clear_line(labels, path, avoid, limits.space)
         found = FoundPaths((path,), Counter())
     if wish.choose > len(found.paths):
@@ -183,22 +182,21 @@ def _checked_limits(wish: LimitOptions) -> PathLimits:
     )
 
 
-def _find_target(name: str, labels: Labels) -> tuple[str, Array, Array | None]:
-    """Return name and place of the target, and a point outside on the way to it.
+def _find_target(name: str, labels: Labels) -> tuple[str, Array]:
+    """Return the name of the target and its place, (1, 3), or the ends of a line.
 
     Args:
         name: A file with points or a line, or a structure.
         labels: The segmentation.
     """
     if not name.endswith(".json"):
-        return name, labels.deepest_point_m(name), None
+        return name, labels.deepest_point_m(name)[None]
     markup = read_markup(name)
     if not markup.is_line:
-        return markup.names[0], markup.points_m[0], None
+        return markup.names[0], markup.points_m[:1]
     if len(markup.points_m) != 2:
         raise CommandError(f"{name}: a line of {len(markup.points_m)} points")
-    entry_m, target_m = orient_line(labels, markup.points_m)
-    return "end of the line", target_m, entry_m
+    return "end of the line", markup.points_m
 
 
 def _names_to_avoid(labels: Labels, target: str, wish: LimitOptions) -> tuple[str, ...]:
