@@ -7,7 +7,7 @@ a region that should hold him also where he moved unnoticed is as wide as that t
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,34 +55,27 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
     axes = _axes_of_motion(problem, fit.pose)
     near = 0.5 * axes
-    kinds = [*(axis[None] for axis in axes), near, near[:3], near[3:]]
     # One axis, all, turns alone and shifts alone are equally probable.
-    shares = np.append(np.full(6, 0.25 / 6.0), np.full(3, 0.25))
+    kinds = [*((0.25 / 6.0, axis[None]) for axis in axes)]
+    kinds += [(0.25, near), (0.25, near[:3]), (0.25, near[3:])]
     priors = np.full(len(firsts), (1.0 - between) * moved / (len(firsts) - 1))
     priors[0] = between * moved
-    known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
-    moments = _fit_motions(problem, fit, firsts, known)
-    odds: list[float] = []
-    steps: list[Array] = []
-    covariances: list[Array] = []
+    moments = _fit_motions(problem, fit, firsts, np.linalg.inv(axes.T @ axes))
+    motions: list[Any] = []
     for prior, information, pull, follow in zip(priors, *moments, strict=True):
-        for share, ways in zip(shares, kinds, strict=True):
+        for share, ways in kinds:
             # Along the ways each is of one standard deviation.
             inner = np.eye(len(ways)) + ways @ information @ ways.T
             spread = ways.T @ np.linalg.solve(inner, ways)
             gain = 0.5 * float(pull @ spread @ pull - np.linalg.slogdet(inner)[1])
             step = follow @ spread @ pull
-            odds.append(prior * share * np.exp(min(gain, 500.0)))
-            steps.append(step)
-            covariances.append(follow @ spread @ follow.T + np.outer(step, step))
-    probabilities = np.array(odds) / (1.0 - moved + np.sum(odds))
-    step = probabilities @ np.array(steps)
-    covariance = np.tensordot(probabilities, np.array(covariances), axes=1)
-    return PatientMotion(
-        probability=float(probabilities.sum()),
-        step=step,
-        covariance=covariance - np.outer(step, step),
-    )
+            square = follow @ spread @ follow.T + np.outer(step, step)
+            motions.append((prior * share * np.exp(min(gain, 500.0)), step, square))
+    odds, steps, squares = map(np.array, zip(*motions, strict=True))
+    probabilities = odds / (1.0 - moved + odds.sum())
+    step = probabilities @ steps
+    covariance = np.tensordot(probabilities, squares, axes=1) - np.outer(step, step)
+    return PatientMotion(float(probabilities.sum()), step, covariance)
 
 
 def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
@@ -143,8 +136,7 @@ def _fit_motions(
     prior = np.zeros((13, 13))
     prior[:7, :7] = problem.information
     prior[7:, 7:] = motion_information
-    number = 0
-    while True:
+    for number in range(rounds + 1):
         is_fine = number > rounds - fine_rounds
         touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
         rows = np.dstack([touches.rows, touches.rows[..., :6] * is_moved[..., None]])
@@ -154,12 +146,13 @@ def _fit_motions(
         weighted = weights[..., None] * rows / variance_m2
         hessians = np.einsum("bni,bnj->bij", rows, weighted) + prior
         off = np.hstack([[problem.off_known(pose) for pose in poses], motions])
-        misfits = 0.5 * np.einsum("bi,ij,bj->b", off, prior, off)
-        misfits += _misfits(touches.lengths_m, variance_m2)
+        # A touch is off as usual or, anywhere, slipped: it counts in full up to where
+        # the latter is as probable, at three standard deviations, and no further.
+        usual = np.logaddexp(-0.5 * touches.lengths_m**2 / variance_m2, -4.5)
+        misfits = 0.5 * np.einsum("bi,ij,bj->b", off, prior, off) - usual.sum(axis=1)
         if number == rounds:
             break
-        gradients = np.einsum("bni,bn->bi", weighted, touches.distances_m)
-        gradients += off @ prior
+        gradients = np.einsum("bni,bn->bi", weighted, touches.distances_m) + off @ prior
         # Radians beside metres.
         scales = np.sqrt(np.einsum("bii->bi", hessians))
         scaled = hessians / (scales[:, :, None] * scales[:, None, :])
@@ -167,8 +160,7 @@ def _fit_motions(
         steps = steps / scales
         motions = motions + steps[:, 7:]
         poses = [*map(problem.move, poses, steps[:, :7])]
-        number += 1
-        if number == far_rounds:
+        if number + 1 == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
             for k in np.flatnonzero(misfits > misfits[-1]):
@@ -206,31 +198,14 @@ def _measure(
         is_moved: Which touches lie behind it, (b, n).
         is_fine: Average normals around each place.
     """
-    steps = np.pad(motions, ((0, 0), (0, 1)))
-    moved = [*map(problem.move, poses, steps)]
-    rotation = np.where(
-        is_moved[..., None, None],
-        np.array([pose.rotation for pose in moved])[:, None],
-        np.array([pose.rotation for pose in poses])[:, None],
+    moved = [*map(problem.move, poses, np.pad(motions, ((0, 0), (0, 1))))]
+    before, after = (
+        [np.array(part)[:, None] for part in zip(*fits, strict=True)]
+        for fits in (poses, moved)
     )
-    place_m = np.where(
-        is_moved[..., None],
-        np.array([pose.translation_m for pose in moved])[:, None],
-        np.array([pose.translation_m for pose in poses])[:, None],
-    )
-    indentation_m = np.array([[pose.indentation_m] for pose in poses])
-    return problem.measure(rotation, place_m, indentation_m, is_fine=is_fine)
-
-
-def _misfits(lengths_m: Array, variance_m2: float) -> Array:
-    """Return how improbable the touches are in each fit, as negative logarithms, (b,).
-
-    A touch is off as usual or, anywhere, slipped: it counts in full up to where the
-    latter is as probable, and no further.
-    """
-    slipped = 3.0  # standard deviations at which both are as probable
-    usual = -0.5 * lengths_m**2 / variance_m2
-    return np.asarray(-np.logaddexp(usual, -0.5 * slipped**2).sum(axis=1))
+    rotation = np.where(is_moved[..., None, None], after[0], before[0])
+    place_m = np.where(is_moved[..., None], after[1], before[1])
+    return problem.measure(rotation, place_m, before[2], is_fine=is_fine)
 
 
 def _least_variance_m2(
