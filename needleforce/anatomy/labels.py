@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needleforce.anatomy.body import find_body, resample_nearest
-from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
+from needleforce.anatomy.clearance import Clearance, VoxelBoxes
 from needleforce.anatomy.label_checks import check_against_scan
 from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
 from needleforce.anatomy.structures import Segmentation, Structure
@@ -152,7 +152,7 @@ class Labels(Segmentation):
         target_m: ArrayLike,
         names: Iterable[str] | None = None,
     ) -> list[Clearance]:
-        """Return how near a straight path comes to structures, the nearest first.
+        """Return how near a path comes to structures within 0.1 m, the nearest first.
 
         Every voxel counts as the box that it fills. `VoxelBoxes` judges many paths
         faster; `require_clear_path` refuses one that comes too near to an obstacle.
@@ -166,5 +166,9 @@ class Labels(Segmentation):
             VolumeError: No structure with voxels has one of the names.
         """
         chosen = self.at_risk() if names is None else [self[name] for name in names]
-        boxes = [VoxelBoxes(self, one) for one in chosen]
-        return find_clearances(boxes, entry_m, target_m)
+        within_m = 0.1  # structures further away are not reported
+        nearest = [
+            VoxelBoxes(self, one).nearest(entry_m, target_m, within_m) for one in chosen
+        ]
+        found = [one for one in nearest if one is not None]
+        return sorted(found, key=lambda one: (one.distance_m, one.depth_m))
