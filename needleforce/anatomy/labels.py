@@ -126,9 +126,10 @@ class Labels(Segmentation):
 
     def skin(self) -> Surface:
         """Return the closed surface of all that is labelled; see `with_body`."""
-        skin = [Structure.named("skin", 1)]
-        body = Labels.of([self.inside().astype(np.uint8)], self.grid, skin)
-        return body.surfaces()["skin"]
+        inside = [self.inside().astype(np.uint8)]
+        return Labels.of(inside, self.grid, [Structure.named("skin", 1)]).surfaces()[
+            "skin"
+        ]
 
     def layers_along(self, entry_m: ArrayLike, target_m: ArrayLike) -> list[Layer]:
         """Return what a straight path crosses, in order, without gaps or overlaps.

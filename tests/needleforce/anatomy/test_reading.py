@@ -111,16 +111,16 @@ def test_slices_that_are_not_one_whole_ct_are_refused(tmp_path, places, change, 
 
 
 @pytest.mark.parametrize("way", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_slices_are_shifted_by_half_a_pixel_at_most(tmp_path, way):
-    for shift_mm, why in ((0.39, None), (0.41, "shear")):  # of 0.8 and 0.9 mm
-        places = [(*np.array(way) * shift_mm * k / 39, 2.5 * k) for k in range(40)]
-        made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
-        if why is None:
-            spacing_m = read_volume(tmp_path).grid.spacing_m
-            np.testing.assert_allclose(spacing_m, [8e-4, 9e-4, 2.5e-3], rtol=1e-3)
-        else:
-            with pytest.raises(VolumeError, match=why):
-                read_volume(tmp_path)
+@pytest.mark.parametrize("shift_mm", [0.39, 0.41])
+def test_slices_are_shifted_by_half_a_pixel_at_most(tmp_path, way, shift_mm):
+    places = [(*np.array(way) * shift_mm * k / 39, 2.5 * k) for k in range(40)]
+    made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
+    if shift_mm < 0.4:  # pixels measure 0.8 and 0.9 mm
+        spacing_m = read_volume(tmp_path).grid.spacing_m
+        np.testing.assert_allclose(spacing_m, [8e-4, 9e-4, 2.5e-3], rtol=1e-3)
+    else:
+        with pytest.raises(VolumeError, match="shear"):
+            read_volume(tmp_path)
 
 
 def nifti(path, shape=(46, 45, 44)):
@@ -130,117 +130,95 @@ def nifti(path, shape=(46, 45, 44)):
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
 def test_a_nifti_file_that_ends_early_or_is_damaged_is_refused(tmp_path, name):
-    path = tmp_path / name
-    nifti(path)
-    whole = path.read_bytes()
-
-    assert read_volume(path).values.shape == (46, 45, 44)
-
+    nifti(tmp_path / name)
+    whole = (tmp_path / name).read_bytes()
     damaged = bytearray(whole)
     damaged[-6] ^= 255  # in the checksum
+
     for content in (whole[:-20], whole[:-9], whole[:200], *[damaged] * ("gz" in name)):
-        path.write_bytes(content)
+        (tmp_path / name).write_bytes(content)
         with pytest.raises(VolumeError):
-            read_volume(path)
+            read_volume(tmp_path / name)
 
 
+PIXDIM = 80
 QFORM = 252
 SFORM = 280
 """Places in a NIfTI header; its matrix here is diag(-3, -3, 3) with an origin of 0."""
 
 
 @pytest.mark.parametrize(
-    ("place", "kind", "numbers", "why"),
+    ("place", "kind", "numbers", "is_read"),
     [
-        (80, "3f", (1.0, 1.0, 1.0), "spacing"),
-        (80, "f168x2h", (0.0, 1, 0), None),
-        (80, "f", (np.nan,), None),
-        (SFORM, "f", (1.5,), None),
-        (SFORM, "f", (3.0,), "qform"),
-        (SFORM + 12, "f", (40.0,), "qform"),
-        (SFORM + 12, "f", (1.6,), "qform"),
-        (SFORM + 12, "f", (np.nan,), None),
-        (SFORM + 24, "f", (0.5,), None),
-        (QFORM, "2h24x8f", (0, 1, -3, 0, 0, 0, 0.5, -3, 0, 0), None),
-        (QFORM, "2h", (0, 0), "orm"),
-        (123, "b", (1,), "met"),
+        (PIXDIM, "3f", (1.0, 1.0, 1.0), False),
+        (PIXDIM, "f168x2h", (0.0, 1, 0), False),
+        (PIXDIM, "f", (np.nan,), False),
+        (SFORM, "f", (1.5,), False),
+        (SFORM, "f", (3.0,), False),
+        (SFORM + 12, "f", (40.0,), False),
+        (SFORM + 12, "f", (1.6,), False),
+        (SFORM + 12, "f", (np.nan,), False),
+        (SFORM + 24, "f", (0.5,), False),
+        (QFORM, "2h24x8f", (0, 1, -3, 0, 0, 0, 0.5, -3, 0, 0), False),
+        (QFORM, "2h", (0, 0), False),
+        (123, "b", (1,), False),
+        (40, "8h", (4, 23, 45, 44, 2, 1, 1, 1), False),
+        (40, "8h", (5, 23, 45, 44, 1, 2, 1, 1), False),
+        (40, "8h", (5, 46, 45, 44, 1, 1, 1, 1), True),
+        (QFORM, "2h", (0, 1), True),
+        (QFORM, "2h", (1, 0), True),
+        (SFORM + 12, "f", (1.4,), True),
     ],
 )
-def test_a_nifti_file_that_contradicts_itself_is_refused(
-    tmp_path, place, kind, numbers, why
+def test_a_nifti_file_says_one_place_in_millimetres(
+    tmp_path, place, kind, numbers, is_read
 ):
     nifti(tmp_path / "a.nii")
     made.patch(tmp_path / "a.nii", QFORM, "2h", 1, 2)
     made.patch(tmp_path / "a.nii", place, kind, *numbers)
-
-    with pytest.raises(VolumeError, match=why):
-        read_volume(tmp_path / "a.nii")
-
-
-@pytest.mark.parametrize(
-    ("place", "kind", "numbers"),
-    [(QFORM, "2h", (0, 1)), (QFORM, "2h", (1, 0)), (SFORM + 12, "f", (1.4,))],
-)
-def test_a_nifti_file_needs_one_place(tmp_path, place, kind, numbers):
-    nifti(tmp_path / "a.nii")
-    made.patch(tmp_path / "a.nii", place, kind, *numbers)
-    scan = read_volume(tmp_path / "a.nii")
-
-    np.testing.assert_allclose(scan.grid.spacing_m, 3e-3)
-    np.testing.assert_allclose(
-        np.diag(scan.grid.axes_m), [3e-3, 3e-3, 3e-3], atol=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "why"),
-    [
-        ("space directions", "# ", "directions"),
-        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', "cm"),
-        ("left-posterior-superior", "scanner-xyz", "scanner-xyz"),
-        ("left-posterior-superior", "3D-right-handed", "right-handed"),
-        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', None),
-        ("left-posterior-superior", "RAS", None),
-    ],
-)
-def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, why):
-    path = tmp_path / "a.nrrd"
-    made.write_image(path, np.ones((4, 4, 4), np.uint8), origin_mm=(5.0, 0.0, 0.0))
-    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
-    if why is None:
-        x_m = read_volume(path).grid.origin_m[0]
-        assert x_m == pytest.approx(-5e-3 if new == "RAS" else 5e-3)
+    if is_read:
+        grid = read_volume(tmp_path / "a.nii").grid
+        np.testing.assert_allclose(grid.axes_m, 3e-3 * np.eye(3), atol=1e-12)
+        assert grid.shape == (46, 45, 44)
     else:
-        with pytest.raises(VolumeError, match=why):
-            read_volume(path)
-
-
-@pytest.mark.parametrize("tail", [(1, 1), (2,), (1, 2), (2, 1)])
-def test_a_nifti_file_may_have_trailing_axes_of_one(tmp_path, tail):
-    nifti(tmp_path / "a.nii")
-    sizes = (46 // max(tail), 45, 44, *tail, 1, 1, 1)
-    made.patch(tmp_path / "a.nii", 40, "8h", 3 + len(tail), *sizes[:7])
-    if max(tail) == 1:
-        assert read_volume(tmp_path / "a.nii").values.shape == (46, 45, 44)
-    else:
-        with pytest.raises(VolumeError, match="three"):
+        with pytest.raises(VolumeError, match="nii"):
             read_volume(tmp_path / "a.nii")
 
 
-def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path):
-    for name in ("a.hdr", "a.mha", "b.nrrd", "b.nii", "b.nii.gz"):
-        if name[0] == "a":
-            made.write_image(tmp_path / name, np.ones((9, 9, 9), np.uint8))
-        else:
-            (tmp_path / name).write_text("no volume")
+@pytest.mark.parametrize(
+    ("old", "new", "x_m"),
+    [
+        ("space directions", "# ", None),
+        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', None),
+        ("left-posterior-superior", "scanner-xyz", None),
+        ("left-posterior-superior", "3D-right-handed", None),
+        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', 5e-3),
+        ("left-posterior-superior", "RAS", -5e-3),
+    ],
+)
+def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, x_m):
+    path = tmp_path / "a.nrrd"
+    made.write_image(path, np.ones((4, 4, 4), np.uint8), origin_mm=(5.0, 0.0, 0.0))
+    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
+    if x_m is not None:
+        assert read_volume(path).grid.origin_m[0] == pytest.approx(x_m)
+    else:
+        with pytest.raises(VolumeError, match="space"):
+            read_volume(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a.hdr", "a.mha", "b.nrrd", "b.nii", "b.nii.gz", "none.nrrd", "none.nii", ""],
+)
+def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path, name):
+    if name[:1] == "a":
+        made.write_image(tmp_path / name, np.ones((9, 9, 9), np.uint8))
+    elif name[:1] == "b":
+        (tmp_path / name).write_text("no volume")
+    for read in (read_volume, read_labels):
         with pytest.raises(VolumeError, match=name):
-            read_volume(tmp_path / name)
-    with pytest.raises(VolumeError, match="no such file"):
-        read_volume(tmp_path / "none.nrrd")
-    with pytest.raises(VolumeError, match="0 DICOM"):
-        read_volume(tmp_path)
-    with pytest.raises(VolumeError, match="folder"):
-        read_labels(tmp_path)
+            read(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -401,26 +379,22 @@ def test_labels_of_totalsegmentator_bring_their_names(tmp_path):
     assert names == ["spleen", "label_92"]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp037"])
-def test_a_table_of_names_that_is_damaged_or_has_entities_is_not_read(
-    tmp_path, encoding
-):
-    text = '<!DOCTYPE a [<!ENTITY e "liver">]><a><Label Key="5">&e;</Label></a>'
-    head = b'<?xml version="1.0" encoding="cp037"?><!--<Label-->'
-    table = (head if encoding == "cp037" else b"") + text.encode(encoding)
-    path = tmp_path / "a.nii.gz"
-    made.write_labels_with_table(path, 5 * bodies()[0], table)
-    try:
-        names = [item.name for item in read_labels(path).structures]
-    except VolumeError:
-        names = []
-    assert "liver" not in names
-
-    made.write_labels_with_table(
-        path, 5 * bodies()[0], TABLE.encode()[:-20] + b"<Label"
-    )
+@pytest.mark.parametrize(
+    "table",
+    [
+        TABLE[:-20] + "<Label",
+        TABLE.format('<Label Key="five">liver</Label>'),
+        TABLE.format("<Label>liver</Label>"),
+        # It would need gigabytes.
+        "<!DOCTYPE a [<!ENTITY e0 'liver'>"
+        + "".join(f"<!ENTITY e{k + 1} '{f'&e{k};' * 10}'>" for k in range(9))
+        + "]><a><Label Key='5'>&e9;</Label></a>",
+    ],
+)
+def test_a_damaged_table_of_names_is_refused(tmp_path, table):
+    made.write_labels_with_table(tmp_path / "a.nii.gz", bodies()[0], table.encode())
     with pytest.raises(VolumeError, match="table"):
-        read_labels(path)
+        read_labels(tmp_path / "a.nii.gz")
 
 
 def test_structures_are_renamed_by_name_or_value(tmp_path):
@@ -474,18 +448,20 @@ def test_dicom_files_without_whole_binary_segments_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("shift_mm", "turn_deg", "size", "is_cut", "why"),
+    ("shift_mm", "turn_deg", "size", "is_cut", "is_right"),
     [
-        (0.0, 0.0, 1.0, False, None),
-        (0.0, 0.0, 1.0, True, None),
-        (1.5, 0.0, 1.0, False, "as large"),
-        (200.0, 0.0, 1.0, True, "outside"),
-        (0.0, 3.0, 1.0, False, "as large"),
-        (0.0, 0.0, 0.9, False, "as large"),
-        (0.0, 0.0, 0.5, False, "as large"),
+        (0.0, 0.0, 1.0, False, True),
+        (0.0, 0.0, 1.0, True, True),
+        (1.5, 0.0, 1.0, False, False),
+        (200.0, 0.0, 1.0, True, False),
+        (0.0, 3.0, 1.0, False, False),
+        (0.0, 0.0, 0.9, False, False),
+        (0.0, 0.0, 0.5, False, False),
     ],
 )
-def test_labels_must_lie_in_their_scan(tmp_path, shift_mm, turn_deg, size, is_cut, why):
+def test_labels_must_lie_in_their_scan(
+    tmp_path, shift_mm, turn_deg, size, is_cut, is_right
+):
     values = np.zeros((32, 31, 30), np.uint8)
     values[14:17, 14:17, 14:17] = 1
     scan = Volume(0.0 * values, Grid(values.shape, np.zeros(3), 1e-3 * np.eye(3)))
@@ -495,10 +471,10 @@ def test_labels_must_lie_in_their_scan(tmp_path, shift_mm, turn_deg, size, is_cu
     image.SetDirection(turn.ravel().tolist())
     image.SetSpacing([size] * 3)
     SimpleITK.WriteImage(image, str(tmp_path / "a.nrrd"))
-    if why is None:
+    if is_right:
         assert read_labels(tmp_path / "a.nrrd", scan=scan)["label_1"].voxels == 27
     else:
-        with pytest.raises(VolumeError, match=f"a.nrrd.*{why}"):
+        with pytest.raises(VolumeError, match="nrrd"):
             read_labels(tmp_path / "a.nrrd", scan=scan)
 
 
@@ -605,7 +581,7 @@ def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
         (transform([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), None),
         (transform(TURN, (2e4, 0.0, 0.0)), "millimetres"),
         (SimpleITK.BSplineTransform(3), "BSpline"),
-        (SimpleITK.Euler2DTransform(), "Euler2D"),
+        (SimpleITK.Euler2DTransform(), "three"),
         (None, "cannot read"),
         ("no transform", "cannot read"),
     ],

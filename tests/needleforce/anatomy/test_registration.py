@@ -1,5 +1,7 @@
 """Registration by landmarks and touches: its error as stated, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -252,74 +254,50 @@ def fit_both(landmarks_m, touches_m):
     return rough, fit_surface(SKIN, touches_m, rough, softness_m=3e-3)
 
 
-@pytest.mark.parametrize("pressed_m", [0.5e-3, 3e-3])
-def test_skin_that_gives_way_leaves_the_target_in_its_region(pressed_m):
-    rng = np.random.default_rng(1000)
-    inside = []
-    errors_m = []
-    for _ in range(12):
-        landmarks_m, touches_m, target_m = touch(rng, pressed_m)
-        _, fit = fit_both(landmarks_m, touches_m)
-        inside.append(fit.region_contains(INSIDE_m, target_m))
-        errors_m.append(np.linalg.norm(fit.to_robot(INSIDE_m) - target_m))
-        assert fit.indentation_m == pytest.approx(pressed_m, abs=1.5e-3)
-        assert 0.1e-3 < fit.indentation_std_m < 1e-3
-        assert 0.2e-3 < fit.residual_rms_m < 2e-3
-        assert fit.tre_m(INSIDE_m) < 4e-3
-
-    assert sum(inside) >= 10
-    assert np.median(errors_m) < 1.5e-3
+SLIPS_m = np.pad([0.015, -0.008, 0.02], (36, 1))
+"""Touches that slipped off or in: the last ones but one."""
 
 
 @pytest.mark.parametrize(
-    ("length_m", "first", "draws", "allowed"),
-    [(0.01, 0, 6, 0), (0.01, 20, 6, 0), (0.005, 0, 24, 1)],
+    ("case", "worst_mm", "refused"),
+    [
+        ({"pressed_m": 0.5e-3}, 3.0, 0),
+        ({"pressed_m": 3e-3}, 3.0, 0),
+        ({"pressed_m": 1e-3, "radius_m": 0.03}, 5.0, 0),
+        # Last touches that slipped are no patient who moved.
+        ({"pressed_m": 1.5e-3, "slips_m": SLIPS_m}, 3.5, 1),
+        # One who moves is found, or covered.
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.0, 0.01)}, 9.0, 9),
+        ({"pressed_m": 1.5e-3, "move_m": (0.01, 0.0, 0.0), "first": 20}, 9.0, 9),
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.005, 0.0)}, 6.0, 9),
+    ],
 )
-def test_a_patient_who_moves_is_found_or_covered(length_m, first, draws, allowed):
-    rng = np.random.default_rng(1001)
-    missed = 0
-    for number in range(draws):
-        move_m = length_m * np.eye(3)[number % 3]
-        landmarks_m, touches_m, target_m = touch(rng, 1.5e-3, 0.11, move_m, first)
+def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refused):
+    rng = np.random.default_rng(1000)
+    errors_m, inside, refusals = [], [], []
+    for _ in range(9):
+        landmarks_m, touches_m, target_m = touch(rng, **case)
         try:
-            _, fit = fit_both(landmarks_m, touches_m)
+            rough, fit = fit_both(landmarks_m, touches_m)
         except RegistrationError as error:
-            missed += "moved" not in str(error)
-        else:
-            missed += not fit.region_contains(INSIDE_m, target_m)
+            refusals.append(str(error))
+            continue
+        places_m = [one.to_robot(INSIDE_m) for one in (rough, fit)]
+        errors_m.append(np.linalg.norm(np.array(places_m) - target_m, axis=1))
+        inside.append(fit.region_contains(INSIDE_m, target_m))
+        if refused < 9:
+            assert fit.indentation_m == pytest.approx(case["pressed_m"], abs=1.5e-3)
+            assert 0.1e-3 < fit.indentation_std_m < 1e-3
+            assert 0.2e-3 < fit.residual_rms_m < 8e-3
+            assert fit.tre_m(INSIDE_m) < 6e-3
 
-    assert missed <= allowed
-
-
-def test_last_touches_that_slipped_are_no_patient_who_moved():
-    rng = np.random.default_rng(12)
-    refused = 0
-    for _ in range(10):
-        slips_m = np.zeros(COUNT)
-        slips_m[36:39] = rng.uniform(-0.02, 0.02, 3)
-        landmarks_m, touches_m, target_m = touch(rng, 1.5e-3, slips_m=slips_m)
-        try:
-            _, fit = fit_both(landmarks_m, touches_m)
-            error_m = fit.to_robot(INSIDE_m) - target_m
-            assert np.linalg.norm(error_m) < 3.5e-3
-        except RegistrationError:
-            refused += 1
-
-    assert refused <= 1
-
-
-def test_touches_close_together_are_no_worse_than_landmarks_alone():
-    rng = np.random.default_rng(1002)
-    errors_m = []
-    for _ in range(12):
-        landmarks_m, touches_m, target_m = touch(rng, 1e-3, radius_m=0.03)
-        fits = fit_both(landmarks_m, touches_m)
-        errors_m.append(
-            [np.linalg.norm(one.to_robot(INSIDE_m) - target_m) for one in fits]
-        )
-
-    alone_m, together_m = np.sqrt(np.mean(np.square(errors_m), axis=0))
-    assert together_m < 1.1 * alone_m
+    assert len(refusals) <= refused
+    assert all("moved" in one for one in refusals)
+    assert sum(inside) >= len(inside) - 1
+    if errors_m:
+        alone_m, together_m = np.sqrt(np.mean(np.square(errors_m), axis=0))
+        assert 1e3 * np.max(np.array(errors_m)[:, 1]) < worst_mm
+        assert refused == 9 or together_m < 1.1 * alone_m
 
 
 def organ(name="organ"):
@@ -369,26 +347,22 @@ def touch_organ(mesh, rng, outliers):
 def test_touches_find_the_surface_among_those_that_slipped():
     rng = np.random.default_rng(2)
     inside = []
-    for _ in range(12):
+    for number in range(12):
         surface, touches_m, start, shift_m = touch_organ(organ(), rng, 0.1)
-        fit = fit_surface(surface, touches_m, start, check=False)
+        fit = fit_surface(surface, touches_m, start, check=number == 0)
         assert np.linalg.norm(fit.to_robot(np.zeros(3)) - shift_m) < 1e-3
         assert 0.1e-3 < fit.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
         inside.append(fit.region_contains(np.zeros(3), shift_m))
-    checked = fit_surface(surface, touches_m, start)
-    assert np.linalg.norm(checked.to_robot(np.zeros(3)) - shift_m) < 1e-3
 
     assert np.mean(inside) > 0.8
     # Far from the basin, or as many that slipped, are refused.
     away = Rotation.from_rotvec([0.0, 0.0, 1.5]).as_matrix()
-    far = Registration(
-        away @ start.rotation, start.translation_m, np.eye(6), np.zeros(3), 9.0, 0.0
-    )
-    with pytest.raises(RegistrationError):
-        fit_surface(surface, touches_m, far)
-    touches_m[:60] += 0.02 * rng.normal(size=(60, 3))
-    with pytest.raises(RegistrationError):
-        fit_surface(surface, touches_m, start)
+    far = replace(start, rotation=away @ start.rotation)
+    slipped_m = touches_m.copy()
+    slipped_m[:60] += 0.02 * rng.normal(size=(60, 3))
+    for wrong in ((touches_m, far), (slipped_m, start)):
+        with pytest.raises(RegistrationError):
+            fit_surface(surface, *wrong)
 
 
 @pytest.mark.parametrize("shape", ["sphere", "half sphere", "cylinder", "plane"])
@@ -411,11 +385,10 @@ def test_surfaces_that_slide_or_spin_are_refused(shape):
         (lambda p: p[:, :2], "finite"),
     ],
 )
-@pytest.mark.parametrize("check", [True, False])
-def test_touches_that_cannot_register_are_refused(change, word, check):
+def test_touches_that_cannot_register_are_refused(change, word):
     start = fit_landmarks(LANDMARKS_m, LANDMARKS_m)
     with pytest.raises(RegistrationError, match=word):
-        fit_surface(SKIN, change(MESH.vertices), start, check=check)
+        fit_surface(SKIN, change(MESH.vertices), start)
 
 
 @pytest.mark.parametrize(
