@@ -9,10 +9,8 @@ avoid is left out; the others are ranked by
 and of those whose entries lie close together the best is kept.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,25 +69,13 @@ class SkinPath:
         return float(np.linalg.norm(self.target_m - self.entry_m))
 
 
-class FoundPaths(NamedTuple):
-    """What a search found.
-
-    Attributes:
-        paths: The best first.
-        rejected: How many rays were left out, by the reason.
-    """
-
-    paths: tuple[SkinPath, ...]
-    rejected: Counter[str]
-
-
 def find_paths(
     labels: Labels,
     target_m: ArrayLike,
     avoid: Iterable[str],
     limits: PathLimits = PathLimits(),
     progress: Callable[[float], None] = lambda fraction: None,
-) -> FoundPaths:
+) -> tuple[SkinPath, ...]:
     """Return the best straight paths from the skin to a target.
 
     Args:
@@ -117,15 +103,8 @@ def find_paths(
     entries_m = np.array([place_m for place_m in exits_m if np.isfinite(place_m).all()])
     angles_rad = np.array([body.skin_angle_rad(entry, target) for entry in entries_m])
     is_clear = angles_rad <= limits.max_angle_rad
+    steep = int(np.count_nonzero(is_clear))
     needed_m = limits.space.needed_m
-    rejected = Counter(
-        {
-            f"longer than {1e3 * limits.max_length_m:g} mm": len(exits_m)
-            - len(entries_m),
-            f"more than {np.degrees(limits.max_angle_rad):.0f} degrees from the skin's "
-            "normal": int(np.count_nonzero(~is_clear)),
-        }
-    )
     for number, one in enumerate(boxes, 1):
         near = [
             ray
@@ -133,20 +112,19 @@ def find_paths(
             if one.nearest(entries_m[ray], target, needed_m) is not None
         ]
         is_clear[near] = False
-        reason = f"nearer than {1e3 * needed_m:.1f} mm to {one.structure.name}"
-        rejected[reason] = len(near)
         progress(number / len(boxes))
     if not is_clear.any():
-        reasons = [f"{count} {why}" for why, count in rejected.most_common() if count]
         raise PlanError(
-            f"no path: of {DIRECTIONS} directions from the target {', '.join(reasons)}",
+            f"no path: of {DIRECTIONS} directions from the target {len(entries_m)} "
+            f"leave the body within {1e3 * limits.max_length_m:g} mm, {steep} of these "
+            f"within {np.degrees(limits.max_angle_rad):.0f} degrees of the skin's "
+            f"normal, and none stays {1e3 * needed_m:.1f} mm from all of "
+            f"{', '.join(one.structure.name for one in boxes)}",
             "Allow a longer or a flatter path or a smaller margin, avoid less, or "
             "choose another target.",
         )
-    return FoundPaths(
-        _rank(labels, boxes, entries_m[is_clear], angles_rad[is_clear], target, limits),
-        rejected,
-    )
+    clear = (entries_m[is_clear], angles_rad[is_clear])
+    return _rank(labels, boxes, *clear, target, limits)
 
 
 def judge_line(

@@ -1,6 +1,5 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
-from collections import Counter
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +15,6 @@ from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE, SHOWN_VOXEL_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
-    FoundPaths,
     PathLimits,
     SkinPath,
     find_paths,
@@ -101,30 +99,29 @@ def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
     target, points_m = _find_target(files.target, labels)
     if len(points_m) == 1:
         with progress_bar("searching paths") as progress:
-            found = find_paths(labels, points_m[0], avoid, limits, progress)
+            paths = find_paths(labels, points_m[0], avoid, limits, progress)
     else:
         path = judge_line(labels, points_m, limits)
         _require_clear_line(labels, path, avoid, limits.space)
-        found = FoundPaths((path,), Counter())
-    if wish.choose > len(found.paths):
+        paths = (path,)
+    if wish.choose > len(paths):
         raise CommandError(
-            f"--choose {wish.choose}: only {len(found.paths)} paths were found"
+            f"--choose {wish.choose}: only {len(paths)} paths were found"
         )
-    chosen = found.paths[wish.choose - 1]
+    chosen = paths[wish.choose - 1]
     accepted = [
         item.name
         for item in labels.structures
         if item.is_obstacle and item.name in (target, *wish.passable)
     ]
     require_clear_path(chosen.clearances, limits.space, accepted)
-    rows = pd.DataFrame([_row(n, path) for n, path in enumerate(found.paths, 1)])
+    rows = pd.DataFrame([_row(n, path) for n, path in enumerate(paths, 1)])
     notes = [
         f"target {target}; at most {M_TO_MM * limits.max_length_m:g} mm long and "
         f"{np.degrees(limits.max_angle_rad):.0f} degrees from the skin's normal; "
         f"{M_TO_MM * limits.space.needed_m:.1f} mm from the needle's centre line stay "
         f"clear of {', '.join(avoid) or 'nothing: no structure is at risk by its name'}"
         "; lengths, thicknesses and clearances in mm",
-        f"left out: {_describe_counts(found.rejected)}",
         f"path {wish.choose} is the plan. {NOT_MEDICAL}",
     ]
     write_out("\n".join([table_text(rows, str.ljust), *notes, ""]))
@@ -142,7 +139,7 @@ def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
                 caption="Paths, the best first; lengths, thicknesses, clearances in mm",
                 head=tuple(rows.columns),
                 rows=tuple(rows.itertuples(index=False, name=None)),
-                note=notes[1],
+                note=notes[0],
             )
             _write_page(case, chosen, target, table, limits.space.needed_m, draft)
     for file in (PLAN, MARKUP, PAGE):
@@ -307,12 +304,6 @@ def _row(number: int, path: SkinPath) -> dict[str, str]:
         "nearest structures": ", ".join(near) or "none within 100 mm",
         "layers": ", ".join(layers),
     }
-
-
-def _describe_counts(rejected: Counter[str]) -> str:
-    """Return in words how many directions were left out, and why."""
-    counts = rejected.most_common()
-    return ", ".join(f"{count} {reason}" for reason, count in counts if count) or "none"
 
 
 def _write_page(

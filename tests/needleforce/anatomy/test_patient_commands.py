@@ -323,7 +323,7 @@ PLAN = "plan --ct patient/ct.nii.gz --labels {} --target {}"
         ("--choose 99", "99"),
         ("--passable rib_right", "rib_right"),
         ("--passable spleen", "spleen"),
-        ("--max-length 20", "longer"),
+        ("--max-length 20", "20 mm"),
         ("--structures label_1=boen", "boen"),
         ("--structures label_1=", "NAME=KIND"),
         ("--structures label_1=rib,label_1=liver", "twice"),
