@@ -121,9 +121,10 @@ def resample_nearest(
     # From indices of the target to those of the source.
     turn = np.linalg.inv(source.axes_m) @ target.axes_m
     shift = source.indices(target.origin_m)
-    transform = SimpleITK.AffineTransform(turn.ravel().tolist(), shift.tolist())
-    image = SimpleITK.GetImageFromArray(values.T)
-    shape = [int(size) for size in target.shape]
-    nearest = SimpleITK.sitkNearestNeighbor
-    taken = SimpleITK.Resample(image, shape, transform, nearest)
+    taken = SimpleITK.Resample(
+        SimpleITK.GetImageFromArray(values.T),
+        [int(size) for size in target.shape],
+        SimpleITK.AffineTransform(turn.ravel().tolist(), shift.tolist()),
+        SimpleITK.sitkNearestNeighbor,
+    )
     return np.ascontiguousarray(SimpleITK.GetArrayViewFromImage(taken).T)

@@ -94,9 +94,8 @@ def _read_structures(place: Path) -> Labels:
             if value
         ]
     found = Labels.of(volumes, image.grid, _named_by_terms(structures))
-    inside = sum(map(np.count_nonzero, volumes))
-    loose = inside - sum(item.voxels for item in found.structures)
-    if loose:
+    held = sum(item.voxels for item in found.structures)
+    if loose := sum(map(np.count_nonzero, volumes)) - held:
         raise VolumeError(f"{loose} voxels have labels of no segment")
     return found
 

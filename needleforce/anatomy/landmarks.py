@@ -200,8 +200,8 @@ def judge_landmarks(
             inner = np.linalg.solve(rows.T @ rows, jacobian[number].T)
             factor = np.eye(3) + jacobian[number] @ inner
             squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
-            is_judged = len(model) >= MIN_VERIFIED
-            probability = float(chdtrc(3, squares)) if is_judged else np.nan
-        left = float(left_m[number])
-        residuals.append(LandmarkResidual(name, left, distance_m, probability))
+            if len(model) >= MIN_VERIFIED:
+                probability = float(chdtrc(3, squares))
+        residual = (float(left_m[number]), distance_m, probability)
+        residuals.append(LandmarkResidual(name, *residual))
     return residuals

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from foundation.arrays import Array
 from needleforce.anatomy.registration import displacement_jacobian
@@ -86,8 +87,8 @@ def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
     """
     turn_std_rad = np.radians(4.0)
     shift_std_m = 8e-3
-    middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
-    middle_m = middle_m + pose.translation_m
+    centre_m = problem.surface.vertices_m.mean(axis=0)
+    middle_m = pose.rotation @ centre_m + pose.translation_m
     turns = turn_std_rad * pose.rotation.T
     # A turn about the middle moves the touches' mean.
     at_pivot = turns @ displacement_jacobian(problem.pivot_m - middle_m)[:, :3].T
@@ -133,9 +134,7 @@ def _fit_motions(
     is_moved = np.arange(count) >= starts[:, None]
     poses = [fit.pose] * len(starts)
     motions = np.zeros((len(starts), 6))
-    prior = np.zeros((13, 13))
-    prior[:7, :7] = problem.information
-    prior[7:, 7:] = motion_information
+    prior = block_diag(problem.information, motion_information)
     for number in range(rounds + 1):
         is_fine = number > rounds - fine_rounds
         touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
@@ -156,8 +155,9 @@ def _fit_motions(
         # Radians beside metres.
         scales = np.sqrt(np.einsum("bii->bi", hessians))
         scaled = hessians / (scales[:, :, None] * scales[:, None, :])
-        steps = -np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0]
-        steps = steps / scales
+        steps = (
+            -np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0] / scales
+        )
         motions = motions + steps[:, 7:]
         poses = [*map(problem.move, poses, steps[:, :7])]
         if number + 1 == far_rounds:

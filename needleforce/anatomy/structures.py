@@ -80,7 +80,6 @@ class Structure:
             kind: What coded terms of the file say that it is; it is an obstacle, or at
                 risk, if name or kind say so.
         """
-        max_colour = 255.0  # of the table; colours of a structure are from 0 to 1
         words = _telling_words(name) | _telling_words(kind)
         # Multiples of the golden ratio, modulo one, lie far apart: no two numbers close
         # by look alike where a name says nothing.
@@ -88,11 +87,10 @@ class Structure:
         bluish = f"{90 + 150 * shade} {200 - 60 * shade} {240 - 150 * shade}"
         told = [row["colour"] for row in TABLE if row["word"] in words]
         chosen = next(filter(None, told), bluish)
-        colour = [float(number) / max_colour for number in chosen.split()]
         return cls(
             name=name,
             value=value,
-            colour=tuple(colour),
+            colour=tuple(float(number) / 255.0 for number in chosen.split()),
             is_obstacle=bool(words & ROLES["obstacle"]),
             is_risk=bool(words & ROLES["risk"]),
             volume=volume,

@@ -106,9 +106,12 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     max_length_m = 5.0  # beyond it the unit is not the metre
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
     extent_m = float(surface.mesh.scale)
-    is_too_large = max(spread_m, extent_m) > max_length_m
-    is_too_large |= spread_m > MAX_LENGTH_RATIO * extent_m
-    if is_too_large or rms_extents_m(touches)[1] < MIN_WIDTH_m:
+    is_large = spread_m > MAX_LENGTH_RATIO * extent_m
+    if (
+        is_large
+        or max(spread_m, extent_m) > max_length_m
+        or rms_extents_m(touches)[1] < MIN_WIDTH_m
+    ):
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
             f"{extent_m:.3g} m: millimetres for metres, or near a point or a line"
@@ -179,10 +182,9 @@ def _registration(
     mean_edges = np.average(edges**2, weights=fit.weights)
     iid_m2 = problem.touch_std_m**2 + problem.spread_m2(fit.pose)
     flat_m2 = max((fit.variance_m2 - iid_m2) / mean_edges, SURFACE_STD_m**2)
-    distance_m = cdist(touches.points_m, touches.points_m)
-    correlation = np.exp(-0.5 * (distance_m / SURFACE_REACH_m) ** 2)
-    errors_m2 = flat_m2 * np.outer(edges, edges) * correlation
-    errors_m2 += min(iid_m2, fit.variance_m2) * np.eye(len(distance_m))
+    apart = cdist(touches.points_m, touches.points_m) / SURFACE_REACH_m
+    errors_m2 = flat_m2 * np.outer(edges, edges) * np.exp(-0.5 * apart**2)
+    errors_m2 += min(iid_m2, fit.variance_m2) * np.eye(len(apart))
     gain = touches.rows.T * (fit.weights / fit.variance_m2)
     errors = gain @ errors_m2 @ gain.T + problem.information
     covariance = inverse @ errors @ inverse

@@ -92,8 +92,7 @@ class TouchDetector:
         first = int(is_away.argmax())
         stays = np.append(is_away[first:], False)
         last = first + min(int(stays.argmin()), round(FREE_s / SLOT_s))
-        free = older[first:last]
-        rise_N = recent[:, 4:].mean(axis=0) - free[:, 4:].mean(axis=0)
+        rise_N = recent[:, 4:].mean(axis=0) - older[first:last, 4:].mean(axis=0)
         force_N = float(np.linalg.norm(rise_N))
         if force_N < self._contact_N:
             return None

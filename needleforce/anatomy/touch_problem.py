@@ -132,8 +132,8 @@ class Problem:
     def noise_m(self) -> float:
         """Deviation of good touches from the surface that is still usual."""
         coarse_std_m = 0.6e-3  # more than such a surface is off as a whole
-        spread_m = SPREAD_OF_SOFTNESS * self.softness_m
-        return float(np.linalg.norm([self.touch_std_m, coarse_std_m, spread_m]))
+        stds_m = [self.touch_std_m, coarse_std_m, SPREAD_OF_SOFTNESS * self.softness_m]
+        return float(np.linalg.norm(stds_m))
 
     def fit(
         self,
@@ -253,10 +253,9 @@ class Problem:
         rotations, shifts = np.split(np.diag(fit.information)[:6], 2)
         hold = np.repeat([rotations.sum(), shifts.sum(), 0.0], [3, 3, 1])
         information = fit.information + self.information + small_hold * np.diag(hold)
-        touches = fit.touches
-        gradient = touches.rows.T @ (fit.weights * touches.distances_m)
-        gradient = gradient / fit.variance_m2
-        gradient = gradient + self.information @ self.off_known(fit.pose)
+        pull = fit.touches.rows.T @ (fit.weights * fit.touches.distances_m)
+        known_pull = self.information @ self.off_known(fit.pose)
+        gradient = pull / fit.variance_m2 + known_pull
         # Later steps are shorter: from facet to facet they would go back and forth.
         full_steps = 8.0
         scale = np.sqrt(np.diag(information))  # radians beside metres
@@ -315,8 +314,7 @@ def state_problem(
         landmarks = np.linalg.pinv(start.covariance, hermitian=True)
         information[:6, :6] = to_start.T @ landmarks @ to_start
     # Half of the softness, plus or minus a third: none and all of it are possible.
-    indentation_std_m = max(softness_m / 3.0, 1e-6)
-    information[6, 6] = 1.0 / indentation_std_m**2
+    information[6, 6] = 1.0 / max(softness_m / 3.0, 1e-6) ** 2
     pose = Pose(start.rotation, start.translation_m, 0.5 * softness_m)
     return Problem(
         surface, touches_m, pivot_m, pose, information, touch_std_m, softness_m
