@@ -19,9 +19,6 @@ from needleforce.anatomy import (
     require_lps,
 )
 from needleforce.anatomy.landmarks import judge_landmarks
-from needleforce.anatomy.patient_motion import find_motion
-from needleforce.anatomy.registration import rms_length
-from needleforce.anatomy.touch_problem import state_problem
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("igl")
@@ -93,19 +90,20 @@ def test_a_region_ends_where_hotellings_law_says(degrees):
         assert not fit.region_contains(TARGET_m, edge_m + 1e-6 * axis, 0.9)
 
 
-def test_an_exact_fit_returns_the_pose_and_its_residuals():
+@pytest.mark.parametrize(
+    ("count", "is_known", "degrees"),
+    [(3, False, 3.0), (3, True, np.inf), (4, False, 6.0), (4, True, 6.5)],
+)
+def test_an_exact_fit_returns_the_pose_and_its_residuals(count, is_known, degrees):
     robot_m, (rotation, shift_m) = touched(FRONT_m, np.random.default_rng(0), 0.0)
-    fit = fit_landmarks(FRONT_m, robot_m)
+    fit = fit_landmarks(FRONT_m[:count], robot_m[:count], is_std_known=is_known)
 
     np.testing.assert_allclose(fit.rotation, rotation, atol=1e-12)
     np.testing.assert_allclose(fit.translation_m, shift_m, atol=1e-12)
     np.testing.assert_allclose(fit.to_model(fit.to_robot(FRONT_m)), FRONT_m, atol=1e-12)
     assert fit.residual_rms_m < 1e-8
-    degrees = {(3, False): 3.0, (3, True): np.inf, (4, False): 6.0, (4, True): 6.5}
-    for (count, is_known), expected in degrees.items():
-        few = fit_landmarks(FRONT_m[:count], robot_m[:count], is_std_known=is_known)
-        assert few.degrees == expected
-        assert np.isfinite(few.tre_m(TARGET_m)) == (is_known or count > 3)
+    assert fit.degrees == degrees
+    assert np.isfinite(fit.tre_m(TARGET_m)) == (is_known or count > 3)
 
 
 @given(lever=st.tuples(*[st.floats(-0.2, 0.2)] * 3))
@@ -176,11 +174,9 @@ def test_deviations_that_are_none_are_refused(std_m):
     with pytest.raises(RegistrationError, match="std_m"):
         fit_landmarks(FRONT_m, FRONT_m, std_m=std_m)
     start = fit_landmarks(LANDMARKS_m, LANDMARKS_m)
-    with pytest.raises(RegistrationError, match="touch_std_m"):
-        fit_surface(SKIN, MESH.vertices, start, touch_std_m=std_m)
-    if std_m != 0.0:
-        with pytest.raises(RegistrationError, match="softness"):
-            fit_surface(SKIN, MESH.vertices, start, softness_m=std_m)
+    for options in ({"touch_std_m": std_m}, {"softness_m": std_m or -1.0}):
+        with pytest.raises(RegistrationError, match=next(iter(options))):
+            fit_surface(SKIN, MESH.vertices, start, **options)
 
 
 def test_a_landmark_that_is_off_is_named():
@@ -193,20 +189,25 @@ def test_a_landmark_that_is_off_is_named():
         residuals = judge_landmarks(FRONT_m, robot_m, 1e-3, "abcdef")
         worst = min(residuals, key=lambda one: one.probability)
         named += worst.name == "c" and worst.is_doubtful
-        assert 3e-3 < worst.left_out_m < 15e-3
         assert worst.left_m < worst.left_out_m
+        assert 3e-3 < worst.left_out_m < 15e-3
 
     assert named >= 54
-    # 1 % of good ones are doubtful, by chi squared of their own covariance.
+    few = judge_landmarks(FRONT_m[:4], robot_m[:4], 1e-3)
+    judged = [
+        (np.isfinite(one.probability), np.isfinite(one.left_out_m)) for one in few
+    ]
+    assert judged == [(False, True)] * 4
+
+
+def test_probabilities_of_good_landmarks_are_evenly_spread():
+    rng = np.random.default_rng(1001)
     good = [
         one.probability
         for _ in range(60)
         for one in judge_landmarks(FRONT_m, touched(FRONT_m, rng, 1e-3)[0], 1e-3)
     ]
     assert stats.kstest(good, "uniform").statistic < 0.1
-    few = judge_landmarks(FRONT_m[:4], robot_m[:4], 1e-3)
-    assert not any(np.isfinite(one.probability) for one in few)
-    assert all(np.isfinite(one.left_out_m) for one in few)
 
 
 def trunk():
@@ -225,8 +226,6 @@ LANDMARKS_m = MESH.vertices[[int((MESH.vertices @ way).argmax()) for way in WAYS
 LANDMARK_STD_m = 1.5e-3
 INSIDE_m = np.array([0.02, 0.03, 0.01])
 COUNT = 40
-MOTIONS = [((0.0, 0.0, 0.0), 0, 0.1235), ((0.002, 0.0, 0.001), 0, 0.1009)]
-"""A shift of the patient, before which touch, and how probable it then is."""
 
 
 def touch(rng, pressed_m=0.0, radius_m=0.11, move_m=(0, 0, 0), first=0, slips_m=0.0):
@@ -405,32 +404,22 @@ def test_lengths_beyond_five_metres_are_no_metres(surface_factor, touch_factor, 
         fit_surface(surface, touches_m, start, check=False)
 
 
-def test_softness_and_touches_are_stated_as_variances():
-    places_m = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
-    assert rms_length(places_m) == pytest.approx(np.sqrt(12.5))
-    start = fit_landmarks(LANDMARKS_m, LANDMARKS_m)
-    problem = state_problem(SKIN, MESH.vertices[:20], start, 0.5e-3, 4e-3)
+@pytest.mark.parametrize(
+    ("move_m", "first", "numbers"),
+    [
+        ((0.0, 0.0, 0.0), 0, (0.0007926, 0.00199, 0.0005509, 33.93, 0.000527)),
+        ((0.002, 0.0, 0.001), 0, (0.0007824, 0.002043, 0.0005515, 33.8, 0.0005375)),
+        ((0.0, 0.0, 0.001), 20, (0.0007628, 0.002047, 0.0005483, 33.91, 0.0005245)),
+    ],
+)
+def test_the_estimator_keeps_its_numbers(move_m, first, numbers):
+    """A changed constant or term shows: error, indentation, degrees, residuals."""
+    rng = np.random.default_rng(5)
+    landmarks_m, touches_m, _ = touch(rng, 1.5e-3, move_m=move_m, first=first)
+    _, fit = fit_both(landmarks_m, touches_m)
+    found = (fit.indentation_m, fit.indentation_std_m, fit.degrees, fit.residual_rms_m)
 
-    # Half of the softness, plus or minus a third; single touches differ by a quarter.
-    assert problem.known.indentation_m == 2e-3
-    assert problem.information[6, 6] == pytest.approx((4e-3 / 3.0) ** -2)
-    assert problem.spread_m2(problem.known) == pytest.approx(0.5e-3**2)
-    assert problem.noise_m == pytest.approx(np.hypot(np.hypot(0.5e-3, 0.6e-3), 1e-3))
-
-
-@pytest.mark.parametrize(("move_m", "first", "probability"), MOTIONS)
-def test_how_probable_a_motion_is(move_m, first, probability):
-    """Numbers of this estimator: a changed constant or term shows."""
-    landmarks_m, touches_m, _ = touch(
-        np.random.default_rng(5), 1.5e-3, 0.11, move_m, first
-    )
-    rough = fit_landmarks(
-        LANDMARKS_m, landmarks_m, std_m=LANDMARK_STD_m, is_std_known=True
-    )
-    problem = state_problem(SKIN, touches_m, rough, 0.5e-3, 3e-3)
-    motion = find_motion(problem, problem.fit(problem.known, still_m=1e-7))
-
-    assert motion.probability == pytest.approx(probability, rel=0.02)
+    assert (fit.tre_m(INSIDE_m), *found) == pytest.approx(numbers, rel=2e-3)
 
 
 HALF_m = np.array([0.16, 0.11, 0.2])
@@ -451,31 +440,35 @@ NAMES = ("xiphoid", "navel", "rib right", "rib left", "crest right")
 
 def test_touches_about_the_entry_show_the_frame_on_a_symmetric_body():
     rng = np.random.default_rng(1000)
-    for _ in range(20):
+    for _ in range(10):
         robot_m, (rotation, shift_m) = touched(MODEL_m, rng, 1e-3)
         ways = rng.uniform([-0.85, -0.4], [-0.1, 0.5], (40, 2))
         touches_m = np.array([on_front(*way) for way in ways]) @ rotation.T + shift_m
-        for model_m, is_right in ((MODEL_m, True), (MODEL_m * RAS, False)):
-            carried_m = fit_landmarks(model_m, robot_m).to_model(touches_m)
-            shown = SkinLandmarks(model_m, SYMMETRIC, (), carried_m, ENTRY_m)
-            if is_right:
-                assert require_lps(shown) == []
-            else:
-                with pytest.raises(RegistrationError, match="RAS"):
-                    require_lps(shown)
+        right, wrong = (
+            SkinLandmarks(
+                one_m, SYMMETRIC, (), fit_landmarks(one_m, robot_m).to_model(touches_m),
+                ENTRY_m,
+            )
+            for one_m in (MODEL_m, MODEL_m * RAS)
+        )  # fmt: skip
+        assert require_lps(right) == []
+        with pytest.raises(RegistrationError, match="RAS"):
+            require_lps(wrong)
 
 
-def test_names_with_a_side_or_the_skin_show_the_frame():
-    assert require_lps(SkinLandmarks(MODEL_m, SYMMETRIC, NAMES)) == []
+SHIFT_m = np.array([0.03, 0.05, 0.0])
+ASIDE = Surface("skin", SYMMETRIC.vertices_m + SHIFT_m, SYMMETRIC.triangles)
+
+
+@pytest.mark.parametrize(
+    ("points_m", "skin", "names"),
+    [(MODEL_m, SYMMETRIC, NAMES), (MODEL_m + SHIFT_m, ASIDE, ())],
+)
+def test_names_with_a_side_or_the_skin_show_the_frame(points_m, skin, names):
+    assert require_lps(SkinLandmarks(points_m, skin, names)) == []
     with pytest.raises(RegistrationError, match="RAS"):
-        require_lps(SkinLandmarks(MODEL_m * RAS, SYMMETRIC, NAMES))
+        require_lps(SkinLandmarks(points_m * RAS, skin, names))
     assert "not verified" in require_lps(SkinLandmarks(MODEL_m, SYMMETRIC, "abcde"))[0]
-
-    shift_m = np.array([0.03, 0.05, 0.0])
-    skin = Surface("skin", SYMMETRIC.vertices_m + shift_m, SYMMETRIC.triangles)
-    assert require_lps(SkinLandmarks(MODEL_m + shift_m, skin)) == []
-    with pytest.raises(RegistrationError, match="RAS"):
-        require_lps(SkinLandmarks((MODEL_m + shift_m) * RAS, skin))
 
 
 def test_landmarks_of_another_ct_are_refused_and_far_ones_doubted():
