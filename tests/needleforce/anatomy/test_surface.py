@@ -87,35 +87,29 @@ def test_the_nearest_of_large_and_small_triangles_is_found(count):
     rng = np.random.default_rng(1000 + count)
     corners = rng.normal(size=(count, 3, 3)) * rng.uniform(0.1, 2.0, (count, 1, 1))
     corners[-1, 2] = 0.5 * (corners[-1, 0] + corners[-1, 1]) + 1e-9  # a sliver
-    points = 2.0 * rng.normal(size=(60, 3))
+    points = (2.0 * rng.normal(size=(60, 3))).repeat(count, axis=0)
     triangles = np.arange(3 * count).reshape(count, 3)
     surface = Surface("part", corners.reshape(-1, 3), triangles)
     places, normals = surface.nearest(points)
-    every = trimesh.triangles.closest_point(
-        np.tile(corners, (60, 1, 1)), points.repeat(count, axis=0)
-    )
-    gaps = np.linalg.norm(every - points.repeat(count, axis=0), axis=1)
+    every = trimesh.triangles.closest_point(np.tile(corners, (60, 1, 1)), points)
+    gaps = np.linalg.norm(every - points, axis=1).reshape(60, count).min(axis=1)
 
     distances = np.linalg.norm(places - points, axis=1)
-    nearest = gaps.reshape(60, count).min(axis=1)
-    np.testing.assert_allclose(distances, nearest, atol=1e-6)
+    np.testing.assert_allclose(distances, gaps.repeat(count), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
 def test_mean_normals_weigh_triangles_by_area_on_the_same_side():
     ball = trimesh.creation.icosphere(3, 0.05)
-    stretched = ball.vertices * [1.0, 0.6, 0.3]
-    surface = Surface("body", stretched, ball.faces)
+    surface = Surface("body", ball.vertices * [1.0, 0.6, 0.3], ball.faces)
     mesh = surface.mesh
-    places, facets = surface.nearest(1.02 * stretched[::40])
+    places, facets = surface.nearest(1.02 * mesh.vertices[::40])
+    away_m = np.linalg.norm(mesh.triangles_center - places[:, None], axis=2)
+    counts = (away_m < 12e-3) & (facets @ mesh.face_normals.T > 0.0)
+    areas = counts * mesh.area_faces
+    expected = areas @ mesh.face_normals / areas.sum(axis=1, keepdims=True)
+
     means = surface.mean_normals(places, facets, 12e-3)
-    for place, normal, mean in zip(places, facets, means, strict=True):
-        counts = np.linalg.norm(mesh.triangles_center - place, axis=1) < 12e-3
-        counts &= mesh.face_normals @ normal > 0.0
-        areas = mesh.area_faces[counts]
-        expected = areas @ mesh.face_normals[counts] / areas.sum()
-
-        np.testing.assert_allclose(mean, expected, atol=1e-12)
-
+    np.testing.assert_allclose(means, expected, atol=1e-12)
     # Farther from every middle than the reach: the normal itself.
     np.testing.assert_array_equal(surface.mean_normals(places, facets, 1e-9), facets)
