@@ -228,22 +228,28 @@ INSIDE_m = np.array([0.02, 0.03, 0.01])
 COUNT = 40
 
 
+def points_on(mesh, rng, is_touched, count=COUNT):
+    """Points on some triangles of a surface, and the normals there."""
+    chosen = rng.choice(np.flatnonzero(is_touched), count)
+    corners = rng.dirichlet([1, 1, 1], count)
+    points_m = np.einsum("nk,nkj->nj", corners, mesh.triangles[chosen])
+    return points_m, mesh.face_normals[chosen]
+
+
 def touch(rng, pressed_m=0.0, radius_m=0.11, move_m=(0, 0, 0), first=0, slips_m=0.0):
     """Landmarks and touches in the base, and where the target lies at the end."""
     front_m = MESH.vertices[MESH.vertices[:, 1].argmin()]
     is_near = np.linalg.norm(MESH.triangles_center - front_m, axis=1) < radius_m
-    is_near &= MESH.face_normals[:, 1] < -0.35
-    chosen = rng.choice(np.flatnonzero(is_near), COUNT)
-    corners = rng.dirichlet([1, 1, 1], COUNT)
-    points_m = np.einsum("nk,nkj->nj", corners, MESH.triangles[chosen])
+    points_m, normals = points_on(
+        MESH, rng, is_near & (MESH.face_normals[:, 1] < -0.35)
+    )
     off_m = slips_m - pressed_m * (1.0 + 0.4 * rng.uniform(-1.0, 1.0, COUNT))
-    points_m += off_m[:, None] * MESH.face_normals[chosen]
+    points_m += off_m[:, None] * normals
     points_m[first:] += move_m
-    target_m = INSIDE_m + np.array(move_m)
     places_m, (rotation, shift_m) = touched(points_m, rng)
-    landmarks_m = LANDMARKS_m @ rotation.T + shift_m
-    landmarks_m = landmarks_m + LANDMARK_STD_m * rng.normal(size=landmarks_m.shape)
-    return landmarks_m, places_m, rotation @ target_m + shift_m
+    off_landmarks_m = LANDMARK_STD_m * rng.normal(size=LANDMARKS_m.shape)
+    landmarks_m = LANDMARKS_m @ rotation.T + shift_m + off_landmarks_m
+    return landmarks_m, places_m, rotation @ (INSIDE_m + move_m) + shift_m
 
 
 def fit_both(landmarks_m, touches_m):
@@ -299,55 +305,44 @@ def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refu
         assert refused == 9 or together_m < 1.1 * alone_m
 
 
-def organ(name="organ"):
-    """A body without symmetry; or a part of one that slides or spins on itself."""
-    if "sphere" in name:
-        mesh = trimesh.creation.icosphere(4, 0.06)
-        is_part = mesh.face_normals[:, 1] < (0.0 if "half" in name else 2.0)
-    elif name == "cylinder":
-        mesh = trimesh.creation.cylinder(0.04, 0.2, sections=48).subdivide().subdivide()
-        is_part = np.abs(mesh.face_normals[:, 2]) < 0.5
-    elif name == "plane":
-        mesh = trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide()
-        is_part = mesh.face_normals[:, 1] < -0.5
-    else:
-        mesh = trimesh.creation.icosphere(4, 0.05)
-        x, y, z = mesh.vertices.T
-        bulge = 1.0 + 5.0 * x + 120.0 * y**2 + 80.0 * x * z
-        mesh.vertices *= bulge[:, None] * [1.0, 0.8, 1.2]
-        is_part = np.ones(len(mesh.faces), bool)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces[is_part])
+BALL = trimesh.creation.icosphere(4, 0.06)
+TUBE = trimesh.creation.cylinder(0.04, 0.2, sections=48).subdivide().subdivide()
+BOX = trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide()
+PARTS = {
+    "organ": (
+        trimesh.Trimesh(0.4 * MESH.vertices, MESH.faces),
+        lambda n: n[:, 1] < 2.0,
+    ),
+    "sphere": (BALL, lambda n: n[:, 1] < 2.0),
+    "half sphere": (BALL, lambda n: n[:, 1] < 0.0),
+    "cylinder": (TUBE, lambda n: np.abs(n[:, 2]) < 0.5),
+    "plane": (BOX, lambda n: n[:, 1] < -0.5),
+}
+"""A body without symmetry, and parts of such as slide or spin on themselves."""
 
 
-def touch_organ(mesh, rng, outliers):
-    """100 touches of the side that looks to the front, a start some degrees and
-    millimetres off that says nothing, and where the organ lies."""
-    looks_up = mesh.area_faces * (mesh.face_normals[:, 1] < -0.1)
-    chosen = rng.choice(len(looks_up), 100, p=looks_up / looks_up.sum())
-    corners = rng.dirichlet([1, 1, 1], 100)
-    points_m = np.einsum("nk,nkj->nj", corners, mesh.triangles[chosen])
-    slipped = rng.random(100) < outliers
-    away_m = rng.uniform(5e-3, 20e-3, (100, 1)) * mesh.face_normals[chosen]
-    touches_m, (rotation, shift_m) = touched(points_m + slipped[:, None] * away_m, rng)
-    turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix()
-    start_m = rotation @ points_m.mean(axis=0) + shift_m + rng.normal(0.0, 5e-3, 3)
-    turned = rotation @ turn
-    start = Registration(
-        turned,
-        start_m - turned @ points_m.mean(axis=0),
-        np.eye(6),
-        np.zeros(3),
-        9.0,
-        0.0,
+def touch_part(name, rng, outliers):
+    """A surface, 100 touches of the side that looks to the front, a start some degrees
+    and millimetres off that says nothing, and where the model lies."""
+    mesh, is_part = PARTS[name]
+    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[is_part(mesh.face_normals)])
+    points_m, normals = points_on(mesh, rng, mesh.face_normals[:, 1] < -0.1, 100)
+    slips_m = (rng.random((100, 1)) < outliers) * rng.uniform(5e-3, 20e-3, (100, 1))
+    touches_m, (rotation, shift_m) = touched(points_m + slips_m * normals, rng)
+    turned = rotation @ Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix()
+    middle_m = points_m.mean(axis=0)
+    start_m = (
+        rotation @ middle_m + shift_m + rng.normal(0.0, 5e-3, 3) - turned @ middle_m
     )
-    return Surface("organ", mesh.vertices, mesh.faces), touches_m, start, shift_m
+    start = Registration(turned, start_m, np.eye(6), np.zeros(3), 9.0, 0.0)
+    return Surface(name, mesh.vertices, mesh.faces), touches_m, start, shift_m
 
 
 def test_touches_find_the_surface_among_those_that_slipped():
     rng = np.random.default_rng(2)
     inside = []
     for number in range(12):
-        surface, touches_m, start, shift_m = touch_organ(organ(), rng, 0.1)
+        surface, touches_m, start, shift_m = touch_part("organ", rng, 0.1)
         fit = fit_surface(surface, touches_m, start, check=number == 0)
         assert np.linalg.norm(fit.to_robot(np.zeros(3)) - shift_m) < 1e-3
         assert 0.1e-3 < fit.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
@@ -355,8 +350,7 @@ def test_touches_find_the_surface_among_those_that_slipped():
 
     assert np.mean(inside) > 0.8
     # Far from the basin, or as many that slipped, are refused.
-    away = Rotation.from_rotvec([0.0, 0.0, 1.5]).as_matrix()
-    far = replace(start, rotation=away @ start.rotation)
+    far = replace(start, translation_m=start.translation_m + 0.1)
     slipped_m = touches_m.copy()
     slipped_m[:60] += 0.02 * rng.normal(size=(60, 3))
     for wrong in ((touches_m, far), (slipped_m, start)):
@@ -367,7 +361,7 @@ def test_touches_find_the_surface_among_those_that_slipped():
 @pytest.mark.parametrize("shape", ["sphere", "half sphere", "cylinder", "plane"])
 def test_surfaces_that_slide_or_spin_are_refused(shape):
     rng = np.random.default_rng(3)
-    surface, touches_m, start, _ = touch_organ(organ(shape), rng, 0.0)
+    surface, touches_m, start, _ = touch_part(shape, rng, 0.0)
 
     with pytest.raises(RegistrationError, match="slides"):
         fit_surface(surface, touches_m, start)
@@ -424,8 +418,7 @@ def test_the_estimator_keeps_its_numbers(move_m, first, numbers):
 
 HALF_m = np.array([0.16, 0.11, 0.2])
 ENTRY_m = np.array([-0.08, -0.095, 0.02])
-BALL = trimesh.creation.icosphere(4, 1.0)
-SYMMETRIC = Surface("skin", BALL.vertices * HALF_m, BALL.faces)
+SYMMETRIC = Surface("skin", BALL.vertices / 0.06 * HALF_m, BALL.faces)
 
 
 def on_front(left, up):
