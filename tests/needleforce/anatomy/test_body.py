@@ -109,14 +109,11 @@ def test_a_negated_affine_is_refused_even_of_both_files(tmp_path):
 
     with pytest.raises(VolumeError):
         case.labels(grid=grid).checked_against(case.scan)
-    names = {item.value: item.name for item in case.structures}
+    made.write_image(tmp_path / "a.nii.gz", case.values[::-1, ::-1], [4.0] * 3)
     with pytest.raises(VolumeError, match="front"):
-        made_and_read(tmp_path, case.values[::-1, ::-1], names)
-
-
-def made_and_read(folder, values, names, **settings):
-    made.write_image(folder / "labels.nii.gz", values, [4.0] * 3)
-    return read_labels(folder / "labels.nii.gz", names, **settings)
+        read_labels(
+            tmp_path / "a.nii.gz", {one.value: one.name for one in case.structures}
+        )
 
 
 def blocks(folder, places, **settings):
@@ -125,7 +122,8 @@ def blocks(folder, places, **settings):
     for number, place in enumerate(places.values(), 1):
         i, j, k = 30 + np.array(place)
         values[i : i + 2, j : j + 2, k : k + 2] = number
-    return made_and_read(folder, values, dict(enumerate(places, 1)), **settings)
+    made.write_image(folder / "labels.nii.gz", values, [4.0] * 3)
+    return read_labels(folder / "labels.nii.gz", dict(enumerate(places, 1)), **settings)
 
 
 @pytest.mark.parametrize(
@@ -242,20 +240,20 @@ def test_the_body_on_another_grid_is_that_of_the_nearest_voxel(turn, step, shift
 @pytest.mark.parametrize("back", [1.0, -1.0])
 def test_a_couch_that_touches_the_back_is_no_body(back):
     """A trunk that tapers on a hollow couch of 400 x 20 mm, which it touches."""
-    x, y, z = (4e-3 * (np.arange(n) - n / 2) for n in (120, 80, 40))
-    place = np.stack(np.meshgrid(x, back * y, z, indexing="ij"), axis=-1)
-    half_m = 0.08 + 0.1 * place[..., 2]  # from front to back, 64 to 96 mm
-    trunk = (place[..., 0] / 0.15) ** 2 + (place[..., 1] / half_m) ** 2 < 1.0
-    across = np.abs(place[..., 0]) < 0.2
-    depth_m = place[..., 1] - 0.088  # it reaches into the upper sections' back
-    couch = across & (depth_m >= 0.0) & (depth_m < 0.02)
-    filling = (np.abs(place[..., 0]) < 0.19) & (depth_m >= 5e-3) & (depth_m < 15e-3)
-    scan_HU = np.where(trunk | (couch & ~filling), 40.0, -1000.0)
-    scan_HU[filling] = -950.0
+    sides = (4e-3 * (np.arange(n) - n / 2) for n in (120, 80, 40))
+    x_m, y_m, z_m = np.meshgrid(*sides, indexing="ij")
+    y_m = back * y_m
+    # From front to back, 64 to 96 mm.
+    trunk = (x_m / 0.15) ** 2 + (y_m / (0.08 + 0.1 * z_m)) ** 2 < 1.0
+    depth_m = y_m - 0.088  # it reaches into the upper sections' back
+    couch = (np.abs(x_m) < 0.2) & (depth_m >= 0.0) & (depth_m < 0.02)
+    filling = (np.abs(x_m) < 0.19) & (depth_m >= 5e-3) & (depth_m < 15e-3)
+    scan_HU = np.where(trunk | couch, 40, -1000)
+    scan_HU[filling] = -950
     grid = Grid(trunk.shape, np.zeros(3), np.diag([4e-3, back * 4e-3, 4e-3]))
     labels = part(trunk, grid).with_body(Volume(scan_HU.astype(np.int16), grid))
     body = labels.volumes[1] > 0
-    alone = trunk & ~(couch | (depth_m > 0.0))
+    alone = trunk & (depth_m <= 0.0) & ~couch
 
     assert (body & couch).sum() < 0.02 * couch.sum()
     assert (alone & ~body).sum() < 0.01 * alone.sum()

@@ -298,22 +298,20 @@ def test_clearances_are_stated_and_radius_margin_and_registration_kept_free():
     assert FreeSpace().needed_m == pytest.approx(2.8e-3)
 
 
-def block(centre, half, names=("body", "rib", "lesion"), spacing_m=2e-3):
+def block():
     """A body of 80 x 60 x 60 mm, a plate of bone in front, and a lesion in it."""
     values = np.zeros((50, 40, 40), np.uint8)
     values[5:45, 5:35, 5:35] = 1
-    low = np.array(centre) - half
-    high = np.array(centre) + half
-    values[tuple(map(slice, low, high))] = 2
+    values[21:29, 8:12, 8:32] = 2
     values[24:27, 19:22, 19:22] = 3
-    return labels_of(values, names, spacing_m)
+    return labels_of(values, ("body", "rib", "lesion"), 2e-3)
 
 
 TARGET = 2e-3 * np.array([25.0, 20.0, 20.0])
 
 
 def test_paths_lead_from_the_skin_and_keep_their_distance():
-    labels = block((25, 10, 20), (4, 2, 12))
+    labels = block()
     limits = PathLimits(0.035, np.radians(20.0), FreeSpace(1e-3, 3e-3))
     fractions = []
     found = find_paths(labels, TARGET, ["rib"], limits, fractions.append)
@@ -350,11 +348,11 @@ def test_paths_lead_from_the_skin_and_keep_their_distance():
 )
 def test_where_there_is_no_path_it_is_said_why(limits, word):
     with pytest.raises(PlanError, match=word):
-        find_paths(block((25, 10, 20), (4, 2, 12)), TARGET, ["rib"], limits)
+        find_paths(block(), TARGET, ["rib"], limits)
 
 
 def test_lines_are_turned_round_and_judged():
-    labels = block((25, 10, 20), (4, 2, 12))
+    labels = block()
     outside_m = TARGET - [0.0, 0.045, 0.0]
     limits = PathLimits(0.04, np.radians(20.0), FreeSpace(1e-3, 3e-3))
     for ends_m in ([outside_m, TARGET], [TARGET, outside_m]):

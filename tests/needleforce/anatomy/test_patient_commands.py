@@ -123,19 +123,16 @@ def test_the_last_command_names_the_lesion(capsys, monkeypatch):
     assert re.search(r"rupture of layer \d .*by the plan into lesion", said)
 
 
-def moved_files(name, shift_mm=(0.0, 0.0, 0.0), change=None):
+def moved_files(name, shift_mm=(0.0, 0.0, 0.0), change=lambda voxels, file: voxels):
     """Copy CT and labels to another place, or change their voxels."""
     folder = Path(name)
     folder.mkdir(exist_ok=True)
     for file in ("ct.nii.gz", "labels.nii.gz"):
         image = SimpleITK.ReadImage(f"patient/{file}")
-        voxels = SimpleITK.GetArrayFromImage(image).T
-        if change is not None:
-            voxels = change(voxels.copy(), file)
+        voxels = change(SimpleITK.GetArrayFromImage(image).T.copy(), file)
         origin_mm = np.add(image.GetOrigin(), shift_mm).tolist()
         made.write_image(folder / file, voxels, image.GetSpacing(), origin_mm)
-    names = Path("patient/labels.json").read_bytes()
-    (folder / "labels.json").write_bytes(names)
+    (folder / "labels.json").write_bytes(Path("patient/labels.json").read_bytes())
     return {"ct": f"../{name}/ct.nii.gz", "labels": f"../{name}/labels.nii.gz"}
 
 
@@ -390,5 +387,4 @@ def test_keys_record_undo_and_end(capsys, monkeypatch):
     captured = capsys.readouterr()
     assert "undone" in captured.out + captured.err
     for options in ("--count -1", "--contact 0"):
-        line = f"touch sim:plan/plan.json {options}"
-        assert options in run(capsys, line)
+        assert options in run(capsys, f"touch sim:plan/plan.json {options}")

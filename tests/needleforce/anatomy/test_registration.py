@@ -349,8 +349,11 @@ def test_touches_find_the_surface_among_those_that_slipped():
         inside.append(fit.region_contains(np.zeros(3), shift_m))
 
     assert np.mean(inside) > 0.8
-    # Far from the basin, or as many that slipped, are refused.
-    far = replace(start, translation_m=start.translation_m + 0.1)
+    # Half a turn away, or where as many slipped, it is refused.
+    turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_matrix()
+    middle_m = touches_m.mean(axis=0)
+    place_m = turn @ (start.translation_m - middle_m) + middle_m
+    far = replace(start, rotation=turn @ start.rotation, translation_m=place_m)
     slipped_m = touches_m.copy()
     slipped_m[:60] += 0.02 * rng.normal(size=(60, 3))
     for wrong in ((touches_m, far), (slipped_m, start)):
