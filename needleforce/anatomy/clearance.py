@@ -32,6 +32,9 @@ STDS = 2.0
 
 MM_PER_M = 1e3
 
+Nearest = tuple[float, float, int]
+"""Distance of a segment from a box, where on the segment, and the row of the box."""
+
 
 @dataclass(frozen=True)
 class Clearance:
@@ -174,7 +177,7 @@ def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
 
 
 @compiled
-def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float, int]:
+def nearest_box(tree: Matrix, ends: Matrix, within: float) -> Nearest:
     """Return the distance of a line segment from the nearest box, and where that is.
 
     Args:
@@ -204,9 +207,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
 
 
 @compiled_inside
-def _approach(
-    tree: Matrix, row: int, entry: Vector, way: Vector
-) -> tuple[float, float, int]:
+def _approach(tree: Matrix, row: int, entry: Vector, way: Vector) -> Nearest:
     """Return the distance of a line segment from a box, and its first nearest place.
 
     The square of the distance, along the segment, is convex and of degree two between

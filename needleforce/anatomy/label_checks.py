@@ -96,11 +96,11 @@ def require_body_order(labels: Segmentation, *, situs_inversus: bool = False) ->
     situs = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
     pairs = set(_expected_pairs(places_m))
     if {*situs} <= places_m.keys():
-        pairs.add((0, *situs))
+        pairs.add((0, situs))
     for axis, sides in enumerate(("left and right", "front and back", "head and feet")):
         gaps_m = {
-            (first, other): float(places_m[first][axis] - places_m[other][axis])
-            for of_axis, first, other in pairs
+            names: float(places_m[names[0]][axis] - places_m[names[1]][axis])
+            for of_axis, names in pairs
             if of_axis == axis
         }
         wrong = [names for names, gap_m in gaps_m.items() if gap_m < -min_distance_m]
@@ -114,19 +114,21 @@ def require_body_order(labels: Segmentation, *, situs_inversus: bool = False) ->
             )
 
 
-def _expected_pairs(places_m: Mapping[str, Array]) -> Iterator[tuple[int, str, str]]:
+def _expected_pairs(
+    places_m: Mapping[str, Array],
+) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield an axis of LPS, and two names of which the first lies further along it."""
     backs = [name for name in places_m if words_of(name) & SPINE]
     for name, place_m in places_m.items():
         other = name.replace("left", "right")
         if "left" in words_of(name) and other in places_m:
-            yield 0, name, other
+            yield 0, (name, other)
         if backs and words_of(name) & FRONT:
             heights_m = {back: abs(places_m[back][2] - place_m[2]) for back in backs}
-            yield 1, min(heights_m, key=heights_m.__getitem__), name
+            yield 1, (min(heights_m, key=heights_m.__getitem__), name)
     for upper, lower in permutations(places_m, 2):
         if np.less(_ranks(upper), _ranks(lower)).any():
-            yield 2, upper, lower
+            yield 2, (upper, lower)
 
 
 def _ranks(name: str) -> list[float]:

@@ -173,8 +173,8 @@ class NeedleSurroundings:
         """
         boxes = self._boxes[number]
         is_inside = not np.array_equal(ends_m[0], ends_m[1])
-        inside = boxes.nearest(*ends_m[:2], REACH_m) if is_inside else None
-        ahead = boxes.nearest(*ends_m[1:], REACH_m)
+        inside = boxes.nearest(ends_m[0], ends_m[1], REACH_m) if is_inside else None
+        ahead = boxes.nearest(ends_m[1], ends_m[2], REACH_m)
         found = [one for one in (inside, ahead) if one is not None]
         if not found:
             return None

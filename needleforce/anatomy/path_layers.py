@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
@@ -82,7 +82,9 @@ class _Path:
         ranks = [rank for rank, item in enumerate(self.ranked) if item.name in names]
         return np.asarray(self.votes[:, ranks].sum(axis=1), dtype=np.float64)
 
-    def boundaries(self, index: Array, lead: Array, next_lead: Array) -> Array:
+    def boundaries(
+        self, index: NDArray[np.integer], lead: Array, next_lead: Array
+    ) -> Array:
         """Return depths and standard deviations of boundaries, (2, n).
 
         Args:
@@ -117,16 +119,16 @@ def find_layers(
         Layer(item.name, *end, *std, item.is_obstacle)
         for item, end, std in zip(items, ends, stds, strict=True)
     ]
-    for item, begin_m, end_m in sorted(_crossings(labels, path), key=lambda c: c[1]):
+    for item, faces_m in sorted(_crossings(labels, path), key=lambda one: one[1][0]):
         # The steps of its voxels along a slanting surface are no layers of their own.
         beside_m = 0.0 if item.is_obstacle else path.voxel_m
         if not any(
             layer.name == item.name
-            and layer.entry_m <= end_m + beside_m
-            and layer.exit_m >= begin_m - beside_m
+            and layer.entry_m <= faces_m[1] + beside_m
+            and layer.exit_m >= faces_m[0] - beside_m
             for layer in layers
         ):
-            layers = _with_crossing(layers, item, np.array([begin_m, end_m]), path)
+            layers = _with_crossing(layers, item, faces_m, path)
     return layers
 
 
@@ -185,10 +187,8 @@ def _count_votes(
     return np.asarray(votes.reshape(len(indices), len(ranked)), dtype=np.float64)
 
 
-def _crossings(
-    labels: Segmentation, path: _Path
-) -> Iterator[tuple[Structure, float, float]]:
-    """Yield where a path runs through voxels of structures: begin and end.
+def _crossings(labels: Segmentation, path: _Path) -> Iterator[tuple[Structure, Array]]:
+    """Yield where a path runs through voxels of structures: begin and end, (2,).
 
     Where structures overlap the smallest counts, and every obstacle.
     """
@@ -211,8 +211,8 @@ def _crossings(
             is_inside &= item.is_obstacle | ~is_held
             is_held |= is_inside
             edges = np.flatnonzero(np.diff(is_inside, prepend=False, append=False))
-            for begin_m, end_m in path.depths_m[-1] * fractions[edges].reshape(-1, 2):
-                yield item, float(begin_m), float(end_m)
+            for faces_m in path.depths_m[-1] * fractions[edges].reshape(-1, 2):
+                yield item, faces_m
 
 
 def _with_crossing(
@@ -234,16 +234,18 @@ def _with_crossing(
     is_between = (ends_m[0] > 0.0) & (ends_m[0] < length_m)
     stds_m = np.where(is_between, np.minimum(ends_m[1], length_m), 0.0)
     begin_m, end_m = ends_m[0].tolist()
-    thin = Layer(item.name, begin_m, end_m, *stds_m.tolist(), item.is_obstacle)
+    begin_std_m, end_std_m = stds_m.tolist()
+    stds = (begin_std_m, end_std_m)
+    thin = Layer(item.name, begin_m, end_m, *stds, item.is_obstacle)
     before = [
-        replace(one, exit_m=begin_m, exit_std_m=thin.entry_std_m)
+        replace(one, exit_m=begin_m, exit_std_m=begin_std_m)
         if one.exit_m > begin_m
         else one
         for one in layers
         if one.entry_m < begin_m
     ]
     behind = [
-        replace(one, entry_m=end_m, entry_std_m=thin.exit_std_m)
+        replace(one, entry_m=end_m, entry_std_m=end_std_m)
         if one.entry_m < end_m
         else one
         for one in layers

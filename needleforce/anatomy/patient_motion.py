@@ -61,7 +61,8 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     kinds += [(0.25, near), (0.25, near[:3]), (0.25, near[3:])]
     priors = np.full(len(firsts), (1.0 - between) * moved / (len(firsts) - 1))
     priors[0] = between * moved
-    moments = _fit_motions(problem, fit, firsts, np.linalg.inv(axes.T @ axes))
+    known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
+    moments = _fit_motions(problem, fit, firsts, known)
     motions: list[Any] = []
     for prior, information, pull, follow in zip(priors, *moments, strict=True):
         for share, ways in kinds:
@@ -134,8 +135,9 @@ def _fit_motions(
     is_moved = np.arange(count) >= starts[:, None]
     poses = [fit.pose] * len(starts)
     motions = np.zeros((len(starts), 6))
-    prior = block_diag(problem.information, motion_information)
-    for number in range(rounds + 1):
+    prior = np.asarray(block_diag(problem.information, motion_information), float)
+    number = 0
+    while True:
         is_fine = number > rounds - fine_rounds
         touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
         rows = np.dstack([touches.rows, touches.rows[..., :6] * is_moved[..., None]])
@@ -160,7 +162,8 @@ def _fit_motions(
         )
         motions = motions + steps[:, 7:]
         poses = [*map(problem.move, poses, steps[:, :7])]
-        if number + 1 == far_rounds:
+        number += 1
+        if number == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
             for k in np.flatnonzero(misfits > misfits[-1]):

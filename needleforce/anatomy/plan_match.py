@@ -121,7 +121,8 @@ class PlanMatch:
         self._first = 1 if has_air else 0
         self._model = RuptureModel(
             [layer.name for layer in self.layers[self._first :]],
-            *bounds_m[self._first :].T,
+            bounds_m[self._first :, 0],
+            bounds_m[self._first :, 1],
             self.offset_std_m,
         )
 
