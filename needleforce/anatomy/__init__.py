@@ -29,7 +29,7 @@ from needleforce.anatomy.errors import (
 )
 from needleforce.anatomy.label_files import read_labels
 from needleforce.anatomy.labels import Labels
-from needleforce.anatomy.landmark_frame import SkinLandmarks, require_lps
+from needleforce.anatomy.landmark_frame import require_lps
 from needleforce.anatomy.landmarks import fit_landmarks
 from needleforce.anatomy.markups import read_transform
 from needleforce.anatomy.needle_surroundings import (
@@ -59,7 +59,6 @@ __all__ = [
     "PlanState",
     "Registration",
     "RegistrationError",
-    "SkinLandmarks",
     "Structure",
     "Surface",
     "Volume",

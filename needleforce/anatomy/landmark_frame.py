@@ -6,9 +6,9 @@ body that is alike in front and back, names with a side and touches about the en
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import RegistrationError
@@ -27,29 +27,24 @@ SIDES = {
 """Directions in LPS of words in the names of landmarks."""
 
 
-@dataclass(frozen=True, eq=False)
-class SkinLandmarks:
-    """Landmarks of the skin in the CT, and what shows in which frame they are.
+def require_lps(
+    points_m: Array,
+    skin: Surface,
+    names: Sequence[str] = (),
+    *,
+    touches_m: ArrayLike = (),
+    entry_m: Array | None = None,
+) -> list[str]:
+    """Refuse landmarks that belong to the CT only with x and y negated.
 
-    Attributes:
-        points_m: As LPS, (n, 3).
+    Args:
+        points_m: Landmarks of the skin as LPS, (n, 3).
         skin: Of the CT.
         names: Of the landmarks; those with a side, such as *left*, are compared with
             the body.
         touches_m: Touches of the skin around the entry, carried into the CT by these
-            landmarks, (m, 3); none by default.
-        entry_m: The planned entry, (3,) in LPS.
-    """
-
-    points_m: Array
-    skin: Surface
-    names: Sequence[str] = ()
-    touches_m: Array | None = None
-    entry_m: Array | None = None
-
-
-def require_lps(landmarks: SkinLandmarks) -> list[str]:
-    """Refuse landmarks that belong to the CT only with x and y negated.
+            landmarks, (m, 3).
+        entry_m: The planned entry, (3,) in LPS, with which touches are compared.
 
     Returns:
         What is doubtful or could not be verified, in words.
@@ -66,9 +61,8 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
     max_off_skin_m = 0.012  # landmarks of the skin lie nearer to it
     other_ct_m = 0.03  # so far, on average, are those of another CT
     far_from_entry_m = 0.15  # touches about the entry lie nearer to it
-    points_m = landmarks.points_m
     off_m, other_m = (
-        np.linalg.norm(one_m - landmarks.skin.nearest(one_m)[0], axis=1).mean()
+        np.linalg.norm(one_m - skin.nearest(one_m)[0], axis=1).mean()
         for one_m in (points_m, points_m * RAS_TO_LPS)
     )
     if off_m > max(min_off_skin_m, other_frame_ratio * other_m):
@@ -78,8 +72,8 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
             f"the landmarks lie {1e3 * off_m:.0f} mm from the skin on average, less "
             f"than {1e3 * other_ct_m:.0f} expected: they belong to another CT"
         )
-    has_sides = _require_sides(landmarks)
-    off_entry_m = _require_touches(landmarks)
+    has_sides = _require_sides(points_m, skin, names)
+    off_entry_m = _require_touches(np.asarray(touches_m), entry_m)
     is_shown_by_skin = other_m > max(min_off_skin_m, other_frame_ratio * off_m)
     is_shown = is_shown_by_skin or has_sides or np.isfinite(off_entry_m)
     doubts = {
@@ -101,18 +95,17 @@ def _refusal(finding: str) -> RegistrationError:
     )
 
 
-def _require_sides(landmarks: SkinLandmarks) -> bool:
+def _require_sides(points_m: Array, skin: Surface, names: Sequence[str]) -> bool:
     """Refuse landmarks that do not lie on the sides that their names state.
 
     Returns:
         Whether any name states one.
     """
     min_side_m = 5e-3  # landmarks nearer to the middle of the body say nothing of sides
-    places_m = landmarks.skin.vertices_m
-    middle_m = 0.5 * (places_m.min(axis=0) + places_m.max(axis=0))
+    middle_m = 0.5 * (skin.vertices_m.min(axis=0) + skin.vertices_m.max(axis=0))
     aside_m = [
         (point_m - middle_m) @ SIDES[word]
-        for name, point_m in zip(landmarks.names, landmarks.points_m, strict=False)
+        for name, point_m in zip(names, points_m, strict=False)
         for word in words_of(name) & SIDES.keys()
     ]
     wrong = sum(one_m < -min_side_m for one_m in aside_m)
@@ -122,7 +115,7 @@ def _require_sides(landmarks: SkinLandmarks) -> bool:
     return right > 0
 
 
-def _require_touches(landmarks: SkinLandmarks) -> float:
+def _require_touches(touches_m: Array, entry_m: Array | None) -> float:
     """Refuse touches that lie about the entry only with x and y negated.
 
     Returns:
@@ -132,11 +125,10 @@ def _require_touches(landmarks: SkinLandmarks) -> float:
     # errors of the first registration and the choice of places make less.
     min_nearer_m = 0.03
     nearer_ratio = 1.5  # far from the entry the distance alone shows little
-    touches_m = landmarks.touches_m
-    if touches_m is None or landmarks.entry_m is None or not len(touches_m):
+    if entry_m is None or not len(touches_m):
         return float("nan")
     off_m, other_m = (
-        float(np.median(np.linalg.norm(one_m - landmarks.entry_m, axis=1)))
+        float(np.median(np.linalg.norm(one_m - entry_m, axis=1)))
         for one_m in (touches_m, touches_m * RAS_TO_LPS)
     )
     if off_m > max(nearer_ratio * other_m, other_m + min_nearer_m):

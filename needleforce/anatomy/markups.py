@@ -28,20 +28,6 @@ SCHEMA = (
 RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
-class _ControlPoint(msgspec.Struct):
-    """A control point of a file.
-
-    Attributes:
-        label: Its name.
-        position: Its place; None where it has none.
-        status: Whether it was placed.
-    """
-
-    label: str = ""
-    position: tuple[float, float, float] | None = None
-    status: str = msgspec.field(name="positionStatus", default="defined")
-
-
 @dataclass(frozen=True, eq=False)
 class Markup:
     """Named points.
@@ -76,21 +62,21 @@ def read_markup(path: Path | str) -> Markup:
         (markup,) = content["markups"]
         factors = frames[str(markup.get("coordinateSystem", "RAS"))]
         scale_m = units_m[markup.get("coordinateUnits", "mm")]
-        points = msgspec.convert(markup["controlPoints"], list[_ControlPoint])
+        placed = [
+            point
+            for point in markup["controlPoints"]
+            if point.get("position") is not None
+            and point.get("positionStatus", "defined") not in unplaced
+        ]
+        names = tuple(str(one.get("label") or n) for n, one in enumerate(placed, 1))
+        positions = np.array([one["position"] for one in placed], dtype=float)
+        points_m = scale_m * factors * positions.reshape(len(placed), 3)
     except (OSError, LookupError, ValueError, *malformed) as error:
         raise VolumeError(
             f"cannot read {path}: {error!r}; expected one list of points, or one line, "
             f"in LPS or RAS and one of {', '.join(units_m)}, that 3D Slicer saved as "
             ".mrk.json"
         ) from error
-    placed = [
-        point
-        for point in points
-        if point.position is not None and point.status not in unplaced
-    ]
-    names = tuple(point.label or str(n) for n, point in enumerate(placed, 1))
-    positions = np.array([point.position for point in placed], dtype=float)
-    points_m = scale_m * factors * positions.reshape(-1, 3)
     if not placed or len({*names}) < len(names) or not np.isfinite(points_m).all():
         raise VolumeError(
             f"{path} holds the points {', '.join(names) or 'none'}: expected placed, "

@@ -97,23 +97,9 @@ def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
     return np.block([[turns, at_pivot], [np.zeros((3, 3)), shifts]])
 
 
-class _Moments(NamedTuple):
-    """Fits with a motion, one for each moment at which it may have been.
-
-    Attributes:
-        information: Of the motion, (b, 6, 6).
-        pull: That information times the motion that fits best, (b, 6).
-        follow: How the unknowns after a motion follow it, (b, 7, 6).
-    """
-
-    information: Array
-    pull: Array
-    follow: Array
-
-
 def _fit_motions(
     problem: Problem, fit: Fit, firsts: Array, motion_information: Array
-) -> _Moments:
+) -> list[Array]:
     """Fit landmarks and touches with a motion before each of some touches.
 
     The unknowns are where the model lies before the motion and how far touches press
@@ -125,6 +111,10 @@ def _fit_motions(
         fit: Their solution without a motion.
         firsts: Numbers of the first touches behind a motion, (b,).
         motion_information: What is known of a motion, (6, 6).
+
+    Returns:
+        Information on the motion, (b, 6, 6); that times the motion that fits best,
+        (b, 6); how the unknowns after a motion follow it, (b, 7, 6).
     """
     rounds = 8
     far_rounds = 5  # the first ones, in which touches count that lie far away
@@ -179,9 +169,8 @@ def _fit_motions(
     promised = 0.5 * np.vecdot(motions[:-1], pull)
     parts = np.minimum(gains / np.maximum(promised, 1e-9), 1.0)
     follow[:, :6] += np.eye(6)
-    return _Moments(
-        information - motion_information, pull * np.sqrt(parts)[:, None], follow
-    )
+    pull = pull * np.sqrt(parts)[:, None]
+    return [information - motion_information, pull, follow]
 
 
 def _measure(

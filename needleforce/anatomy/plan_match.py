@@ -171,7 +171,8 @@ class PlanMatch:
         if contact_m is not None:
             model = model.met_at(contact_m - entry_depth_m)
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        joint, matched, matched_probability = model.infer(lowest_m, ruptures)
+        joint, by_matched = model.infer(lowest_m, ruptures)
+        matched = int(np.argmax(by_matched)) - 1
         is_withdrawn = tip_m < lowest_m - withdrawn_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
@@ -191,7 +192,7 @@ class PlanMatch:
             next_std_m=float(np.sqrt(variance_m2 + next_layer.entry_std_m**2)),
             matched=matched,
             matched_name=self._name(matched, FALSE_ALARM) if ruptures else "",
-            matched_probability=matched_probability,
+            matched_probability=float(by_matched.max()),
             is_obstacle_next=next_layer.is_obstacle,
         )
 

@@ -8,7 +8,7 @@ may have been the last one matched, the first row for none.
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -33,21 +33,6 @@ LATE_STD_m = 2.5e-3
 CONTACT_STD_m = 0.15e-3
 """Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor;
 in the last it was found 4.8 mm too high, in the air."""
-
-
-class Posterior(NamedTuple):
-    """What contact, ruptures and the deepest point of the tip say.
-
-    Attributes:
-        joint: Probability of each number of boundaries passed (rows) and offset.
-        matched: The boundary that the last rupture most likely was; -1 for a false
-            alarm.
-        matched_probability: Of that.
-    """
-
-    joint: Array
-    matched: int
-    matched_probability: float
 
 
 class RuptureModel:
@@ -113,12 +98,18 @@ class RuptureModel:
         model._std_m[:, 0, 0] = CONTACT_STD_m, np.hypot(CONTACT_STD_m, LATE_STD_m)
         return model
 
-    def infer(self, deepest_m: float, ruptures_m: Sequence[float]) -> Posterior:
+    def infer(
+        self, deepest_m: float, ruptures_m: Sequence[float]
+    ) -> tuple[Array, Array]:
         """Return what is known with the tip as deep as it has been.
 
         Args:
             deepest_m: Of the tip.
             ruptures_m: In their order.
+
+        Returns:
+            Probability of each number of boundaries passed (rows) and offset; and of
+            what the last rupture was: a false alarm, or each boundary.
 
         Raises:
             PlanError: A rupture is not finite, or above the one before.
@@ -142,9 +133,7 @@ class RuptureModel:
             behind[row] = waiting[row] + passed[row] * behind[row + 1]
         likelihood = ((weight - false_alarm) * behind).sum(axis=1)
         likelihood[0] = (false_alarm * behind).sum()
-        best = int(np.argmax(likelihood))
-        probability = likelihood[best] / max(likelihood.sum(), 1e-300)
-        return Posterior(joint, best - 1, float(probability))
+        return joint, likelihood / max(likelihood.sum(), 1e-300)
 
     def _weigh(self, ruptures_m: Sequence[float]) -> tuple[Array, Array]:
         """Return the probabilities of each assignment and offset after ruptures.

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from needleforce.anatomy import (
     Registration,
     RegistrationError,
-    SkinLandmarks,
     Surface,
     fit_landmarks,
     fit_surface,
@@ -440,16 +439,14 @@ def test_touches_about_the_entry_show_the_frame_on_a_symmetric_body():
         robot_m, (rotation, shift_m) = touched(MODEL_m, rng, 1e-3)
         ways = rng.uniform([-0.85, -0.4], [-0.1, 0.5], (40, 2))
         touches_m = np.array([on_front(*way) for way in ways]) @ rotation.T + shift_m
-        right, wrong = (
-            SkinLandmarks(
-                one_m, SYMMETRIC, (), fit_landmarks(one_m, robot_m).to_model(touches_m),
-                ENTRY_m,
-            )
-            for one_m in (MODEL_m, MODEL_m * RAS)
-        )  # fmt: skip
-        assert require_lps(right) == []
-        with pytest.raises(RegistrationError, match="RAS"):
-            require_lps(wrong)
+        for model_m, is_right in ((MODEL_m, True), (MODEL_m * RAS, False)):
+            carried_m = fit_landmarks(model_m, robot_m).to_model(touches_m)
+            shown = {"touches_m": carried_m, "entry_m": ENTRY_m}
+            if is_right:
+                assert require_lps(model_m, SYMMETRIC, **shown) == []
+            else:
+                with pytest.raises(RegistrationError, match="RAS"):
+                    require_lps(model_m, SYMMETRIC, **shown)
 
 
 SHIFT_m = np.array([0.03, 0.05, 0.0])
@@ -461,18 +458,17 @@ ASIDE = Surface("skin", SYMMETRIC.vertices_m + SHIFT_m, SYMMETRIC.triangles)
     [(MODEL_m, SYMMETRIC, NAMES), (MODEL_m + SHIFT_m, ASIDE, ())],
 )
 def test_names_with_a_side_or_the_skin_show_the_frame(points_m, skin, names):
-    assert require_lps(SkinLandmarks(points_m, skin, names)) == []
+    assert require_lps(points_m, skin, names) == []
     with pytest.raises(RegistrationError, match="RAS"):
-        require_lps(SkinLandmarks(points_m * RAS, skin, names))
-    assert "not verified" in require_lps(SkinLandmarks(MODEL_m, SYMMETRIC, "abcde"))[0]
+        require_lps(points_m * RAS, skin, names)
+    assert "not verified" in require_lps(MODEL_m, SYMMETRIC, "abcde")[0]
 
 
 def test_landmarks_of_another_ct_are_refused_and_far_ones_doubted():
     with pytest.raises(RegistrationError, match="another CT"):
-        require_lps(SkinLandmarks(LANDMARKS_m * 1.8, SKIN))
-    assert require_lps(SkinLandmarks(MODEL_m * 1.15, SYMMETRIC, NAMES))
+        require_lps(LANDMARKS_m * 1.8, SKIN)
+    assert require_lps(MODEL_m * 1.15, SYMMETRIC, NAMES)
 
-    touches_m = np.tile(on_front(0.7, 0.6), (20, 1))
-    entry_m = on_front(-0.5, -0.6)
-    (doubt,) = require_lps(SkinLandmarks(MODEL_m, SYMMETRIC, NAMES, touches_m, entry_m))
+    far = {"touches_m": [on_front(0.7, 0.6)], "entry_m": on_front(-0.5, -0.6)}
+    (doubt,) = require_lps(MODEL_m, SYMMETRIC, NAMES, **far)
     assert "entry" in doubt
