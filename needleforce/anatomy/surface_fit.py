@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import RegistrationError, require_deviation
-from needleforce.anatomy.patient_motion import find_motion
+from needleforce.anatomy.patient_motion import allow_motion
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -190,16 +190,7 @@ def _registration(
     covariance = inverse @ errors @ inverse
     pose = fit.pose
     if check:
-        motion = find_motion(problem, fit)
-        # Right registrations pass it in 99 of 100 (seeds below 1000).
-        if motion.probability > 0.9:
-            raise RegistrationError(
-                "landmarks and touches contradict each other: the patient has probably "
-                f"moved (p = {motion.probability:.2f}); hold him still, and touch "
-                "landmarks and skin again"
-            )
-        pose = problem.move(pose, motion.step)
-        covariance = covariance + motion.covariance
+        pose, covariance = allow_motion(problem, fit, covariance)
     # Degrees of freedom of several sources together (Satterthwaite 1946).
     parts = [fit.information, problem.information]
     shares = np.array([np.trace(inverse @ part) for part in parts])
