@@ -186,7 +186,7 @@ def judge_landmarks(
     """
     model = np.asarray(model_m, dtype=float)
     robot = np.asarray(robot_m, dtype=float)
-    left_m = np.linalg.norm(fit_rigidly(model, robot).carry(model) - robot, axis=1)
+    left_m = fit_rigidly(model, robot).carry(model) - robot
     residuals: list[LandmarkResidual] = []
     for number, name in enumerate(names or map(str, range(1, len(model) + 1))):
         others = np.delete(np.arange(len(model)), number)
@@ -202,6 +202,6 @@ def judge_landmarks(
             squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
             if len(model) >= MIN_VERIFIED:
                 probability = float(chdtrc(3, squares))
-        residual = (float(left_m[number]), distance_m, probability)
-        residuals.append(LandmarkResidual(name, *residual))
+        left = float(np.linalg.norm(left_m[number]))
+        residuals.append(LandmarkResidual(name, left, distance_m, probability))
     return residuals

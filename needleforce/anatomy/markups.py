@@ -155,9 +155,9 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         ) from error
     left, stretches, right = np.linalg.svd((np.array(images_mm) - shift_mm).T)
     rotation = left @ right
-    is_near = np.linalg.norm(shift_mm) <= max_distance_mm
-    is_rigid = transform.IsLinear() and np.abs(stretches - 1.0).max() <= max_stretch
-    if not (is_near and is_rigid and np.linalg.det(rotation) > 0.0):
+    is_rigid = transform.IsLinear() and np.linalg.det(rotation) > 0.0
+    is_stretched = np.abs(stretches - 1.0).max() > max_stretch
+    if not is_rigid or is_stretched or np.linalg.norm(shift_mm) > max_distance_mm:
         raise VolumeError(
             f"{path} is a {transform.GetName()} that stretches by "
             f"{stretches.min():.4g} to {stretches.max():.4g} and carries the CT by "

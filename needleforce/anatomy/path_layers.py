@@ -235,8 +235,14 @@ def _with_crossing(
     stds_m = np.where(is_between, np.minimum(ends_m[1], length_m), 0.0)
     begin_m, end_m = ends_m[0].tolist()
     begin_std_m, end_std_m = stds_m.tolist()
-    stds = (begin_std_m, end_std_m)
-    thin = Layer(item.name, begin_m, end_m, *stds, item.is_obstacle)
+    thin = Layer(
+        name=item.name,
+        entry_m=begin_m,
+        exit_m=end_m,
+        entry_std_m=begin_std_m,
+        exit_std_m=end_std_m,
+        is_obstacle=item.is_obstacle,
+    )
     before = [
         replace(one, exit_m=begin_m, exit_std_m=begin_std_m)
         if one.exit_m > begin_m

@@ -165,9 +165,8 @@ class PlanMatch:
             )
         model = self._model
         tip_m = float(depth_m) - entry_depth_m
-        lowest_m = tip_m
-        if deepest_m is not None:
-            lowest_m = max(float(deepest_m) - entry_depth_m, tip_m)
+        lowest_tip_m = depth_m if deepest_m is None else float(deepest_m)
+        lowest_m = max(lowest_tip_m - entry_depth_m, tip_m)
         if contact_m is not None:
             model = model.met_at(contact_m - entry_depth_m)
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]

@@ -65,10 +65,9 @@ def read_image(path: Path) -> Volume:
             f"{path}: expected .nii, .nii.gz, .nrrd, .seg.nrrd, or the folder of a "
             "DICOM series with one slice per file"
         )
-    is_number = image.values.dtype.kind in "iuf"
     diagonal_m = float(np.linalg.norm(np.ptp(image.grid.corners_m(), axis=0)))
-    is_large = min(image.grid.shape) >= 2 and diagonal_m > min_diagonal_m
-    if not is_number or not is_large or diagonal_m > max_diagonal_m:
+    is_volume = min(image.grid.shape) >= 2 and image.values.dtype.kind in "iuf"
+    if not (is_volume and min_diagonal_m < diagonal_m < max_diagonal_m):
         raise VolumeError(
             f"{path} has {image.grid.shape} voxels of {image.values.dtype} over "
             f"{diagonal_m:.3g} m: expected numbers in three dimensions, in millimetres"
@@ -183,11 +182,11 @@ def _read_with_itk(path: Path) -> Volume:
 
 def _placed_nrrd(path: Path) -> str:
     """Return the name of an NRRD file that says in millimetres how it lies."""
-    spaces = ("left-posterior-superior", "right-anterior-superior", "lps", "ras")
-    spaces += ("left-anterior-superior", "las")
+    sides = ("left-posterior", "right-anterior", "left-anterior")
+    spaces = ("lps", "ras", "las", *(f"{side}-superior" for side in sides))
     header = re.split(rb"\r?\n\r?\n", path.read_bytes(), maxsplit=1)[0]
-    text = header.decode("latin-1").lower()
-    fields = dict(re.findall(r"(?m)^([^:\n]+): (.*?)\r?$", text))
+    pattern = r"(?m)^([^:\n]+): (.*?)\r?$"
+    fields = dict(re.findall(pattern, header.decode("latin-1").lower()))
     units = {*re.findall(r'[^"\s]+', fields.get("space units", "mm"))}
     is_placed = fields.get("space") in spaces and "space directions" in fields
     if not is_placed or units - {"mm", "millimeter", "millimetre"}:
