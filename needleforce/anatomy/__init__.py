@@ -8,10 +8,10 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `structures`, `segmentation`, `body`, `body_order`,
-`scan_agreement`, `path_layers`, `clearance`, `surface`, `labels`, `scan_files`,
+Reading order: `volume`, `structures`, `body`, `label_checks`,
+`path_layers`, `clearance`, `surface`, `labels`, `scan_files`,
 `label_files`, `registration`, `landmarks`, `landmark_frame`, `touch_problem`,
-`patient_motion`, `surface_fit`, `markups`, `transform_file`, `path_search`,
+`patient_motion`, `surface_fit`, `markups`, `path_search`,
 `needle_surroundings`, `plan_match`, `rupture_model`.
 """
 
@@ -29,8 +29,9 @@ from needleforce.anatomy.errors import (
 )
 from needleforce.anatomy.label_files import read_labels
 from needleforce.anatomy.labels import Labels
-from needleforce.anatomy.landmark_frame import SkinLandmarks, require_lps
+from needleforce.anatomy.landmark_frame import require_lps
 from needleforce.anatomy.landmarks import fit_landmarks
+from needleforce.anatomy.markups import read_transform
 from needleforce.anatomy.needle_surroundings import (
     NeedleClearance,
     NeedleSurroundings,
@@ -42,7 +43,6 @@ from needleforce.anatomy.scan_files import read_volume
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import fit_surface
-from needleforce.anatomy.transform_file import read_transform
 from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
@@ -59,7 +59,6 @@ __all__ = [
     "PlanState",
     "Registration",
     "RegistrationError",
-    "SkinLandmarks",
     "Structure",
     "Surface",
     "Volume",

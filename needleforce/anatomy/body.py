@@ -43,9 +43,8 @@ def find_body(
 
     body = _largest_part(scan.values > BODY_HU)
     progress(0.5)
-    edge = body.copy()
-    edge[1:-1, 1:-1, 1:-1] = True
-    if not body.any() or edge.all():
+    air_around = np.count_nonzero(~body) - np.count_nonzero(~body[1:-1, 1:-1, 1:-1])
+    if not body.any() or not air_around:
         raise VolumeError(
             f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
             f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
@@ -58,7 +57,6 @@ def find_body(
         image = SimpleITK.GetImageFromArray(section.astype(np.uint8))
         filled = SimpleITK.BinaryFillhole(image, foregroundValue=1)
         section[:] = SimpleITK.GetArrayViewFromImage(filled)
-    progress(0.8)
     kinds = body.astype(np.uint8)  # true is `LEAN`
     if fat:
         # Scans are noisy: the median of a voxel and the 26 around it decides.
@@ -120,16 +118,13 @@ def resample_nearest(
     """
     import SimpleITK
 
-    image = SimpleITK.GetImageFromArray(values.T)
-    image.SetOrigin(source.origin_m.tolist())
-    image.SetSpacing(source.spacing_m.tolist())
-    image.SetDirection((source.axes_m / source.spacing_m).ravel().tolist())
-    place: list[Any] = [
-        target.origin_m.tolist(),
-        target.spacing_m.tolist(),
-        (target.axes_m / target.spacing_m).ravel().tolist(),
-    ]
-    shape = [int(size) for size in target.shape]
-    nearest = SimpleITK.sitkNearestNeighbor
-    taken = SimpleITK.Resample(image, shape, SimpleITK.Transform(), nearest, *place)
+    # From indices of the target to those of the source.
+    turn = np.linalg.inv(source.axes_m) @ target.axes_m
+    shift = source.indices(target.origin_m)
+    taken = SimpleITK.Resample(
+        SimpleITK.GetImageFromArray(values.T),
+        [int(size) for size in target.shape],
+        SimpleITK.AffineTransform(turn.ravel().tolist(), shift.tolist()),
+        SimpleITK.sitkNearestNeighbor,
+    )
     return np.ascontiguousarray(SimpleITK.GetArrayViewFromImage(taken).T)

@@ -18,8 +18,7 @@ from scipy.spatial import KDTree
 from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from needleforce.anatomy.errors import OTHER_PATH, PlanError, VolumeError
-from needleforce.anatomy.segmentation import Segmentation
-from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.structures import Segmentation, Structure
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""
@@ -33,6 +32,9 @@ STDS = 2.0
 
 MM_PER_M = 1e3
 
+Nearest = tuple[float, float, int]
+"""Distance of a segment from a box, where on the segment, and the row of the box."""
+
 
 @dataclass(frozen=True)
 class Clearance:
@@ -44,12 +46,14 @@ class Clearance:
             the line crosses one.
         depth_m: Where on the path that is, from the entry.
         is_obstacle: Bone or cartilage.
+        place_m: Of the voxel's nearest point, (3,) in LPS.
     """
 
     name: str
     distance_m: float
     depth_m: float
     is_obstacle: bool
+    place_m: tuple[float, ...]
 
 
 class FreeSpace(NamedTuple):
@@ -91,7 +95,6 @@ class VoxelBoxes:
 
     Attributes:
         structure: The same.
-        tree: The boxes, see `nearest_box`.
 
     Raises:
         VolumeError: The axes of the grid are not orthogonal.
@@ -103,8 +106,7 @@ class VoxelBoxes:
         spacing_m = grid.spacing_m
         self._origin_m = grid.origin_m
         self._directions = grid.axes_m / spacing_m
-        products = self._directions.T @ self._directions
-        if np.abs(products - np.eye(3)).max() > 1e-6:
+        if not np.allclose(self._directions.T @ self._directions, np.eye(3), atol=1e-6):
             raise VolumeError(
                 "the axes of the labels' grid are not orthogonal: resample them"
             )
@@ -118,7 +120,7 @@ class VoxelBoxes:
         halves_m = 0.5 * (last - first + 1) * spacing_m
         # In the order of such a tree neighbours come soon after each other.
         order = KDTree(centres_m, leafsize=2).indices
-        self.tree = _box_tree(centres_m[order], halves_m[order])
+        self._tree = _box_tree(centres_m[order], halves_m[order])
         compile_waiting()
 
     def nearest(
@@ -131,21 +133,24 @@ class VoxelBoxes:
             target_m: Last point, (3,).
             within_m: Voxels further away than this are not looked for.
         """
-        ends = self.along_grid(np.array([entry_m, target_m]))
-        distance_m, fraction, row = nearest_box(self.tree, ends, within_m)
+        ends = (
+            np.array([entry_m, target_m], float) - self._origin_m
+        ) @ self._directions
+        distance_m, fraction, row = nearest_box(self._tree, ends, within_m)
         if row == 0:
             return None
-        depth_m = fraction * float(np.linalg.norm(ends[1] - ends[0]))
-        structure = self.structure
-        return Clearance(structure.name, distance_m, depth_m, structure.is_obstacle)
-
-    def along_grid(self, points_m: ArrayLike) -> Array:
-        """Return points of LPS, (n, 3), along the axes of the boxes."""
-        return (np.asarray(points_m, float) - self._origin_m) @ self._directions
-
-    def from_grid(self, points_m: Array) -> Array:
-        """Return points along the axes of the boxes, (n, 3), in LPS."""
-        return points_m @ self._directions.T + self._origin_m
+        way_m = ends[1] - ends[0]
+        centre_m, half_m = self._tree[row].reshape(2, 3)
+        place = np.clip(
+            ends[0] + fraction * way_m, centre_m - half_m, centre_m + half_m
+        )
+        return Clearance(
+            name=self.structure.name,
+            distance_m=distance_m,
+            depth_m=fraction * float(np.linalg.norm(way_m)),
+            is_obstacle=self.structure.is_obstacle,
+            place_m=tuple((place @ self._directions.T + self._origin_m).tolist()),
+        )
 
 
 def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
@@ -172,7 +177,7 @@ def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
 
 
 @compiled
-def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float, int]:
+def nearest_box(tree: Matrix, ends: Matrix, within: float) -> Nearest:
     """Return the distance of a line segment from the nearest box, and where that is.
 
     Args:
@@ -202,9 +207,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
 
 
 @compiled_inside
-def _approach(
-    tree: Matrix, row: int, entry: Vector, way: Vector
-) -> tuple[float, float, int]:
+def _approach(tree: Matrix, row: int, entry: Vector, way: Vector) -> Nearest:
     """Return the distance of a line segment from a box, and its first nearest place.
 
     The square of the distance, along the segment, is convex and of degree two between
@@ -256,15 +259,6 @@ def _slope_at(box: Vector, entry: Vector, way: Vector, fraction: float) -> float
         offset = entry[i] + fraction * way[i] - box[i]
         slope += (offset - min(max(offset, -box[3 + i]), box[3 + i])) * way[i]
     return slope
-
-
-def find_clearances(
-    boxes: Iterable[VoxelBoxes], entry_m: ArrayLike, target_m: ArrayLike
-) -> list[Clearance]:
-    """Return how near a path comes to structures within 0.1 m, the nearest first."""
-    nearest = [one.nearest(entry_m, target_m, within_m=0.1) for one in boxes]
-    found = [one for one in nearest if one is not None]
-    return sorted(found, key=lambda one: (one.distance_m, one.depth_m))
 
 
 def describe_clearance(clearance: Clearance) -> str:

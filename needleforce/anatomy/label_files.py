@@ -4,7 +4,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.anatomy.body_order import require_body_order
 from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.label_checks import require_body_order
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.scan_files import (
     M_PER_MM,
@@ -69,8 +68,6 @@ def read_labels(
         require_body_order(labels, situs_inversus=situs_inversus)
         return labels if scan is None else labels.checked_against(scan)
     except VolumeError as error:
-        if str(path) in str(error):
-            raise
         raise error.reworded(f"{path}: {error}") from None
 
 
@@ -86,22 +83,19 @@ def _read_structures(place: Path) -> Labels:
     if place.is_file() and is_dicom(place):
         return _read_dicom_segments(place)
     image = read_image(place)
-    labels = _as_labels(image.values).reshape(-1, *image.grid.shape)
-    volumes = [np.ascontiguousarray(volume) for volume in labels]
+    volumes = [*_as_labels(image.values).reshape(-1, *image.grid.shape)]
     is_nifti = place.name.endswith((".nii", ".nii.gz"))
     structures = [] if is_nifti else _slicer_segments(place, len(volumes))
     if not structures and len(volumes) == 1:
         names = read_nifti_names(place) if is_nifti else {}
-        values = map(int, np.unique(volumes[0]))
         structures = [
             Structure.named(names.get(value, f"label_{value}"), value)
-            for value in values
+            for value in np.unique(volumes[0]).tolist()
             if value
         ]
     found = Labels.of(volumes, image.grid, _named_by_terms(structures))
-    inside = sum(map(np.count_nonzero, volumes))
-    loose = inside - sum(item.voxels for item in found.structures)
-    if loose:
+    held = sum(item.voxels for item in found.structures)
+    if loose := sum(map(np.count_nonzero, volumes)) - held:
         raise VolumeError(f"{loose} voxels have labels of no segment")
     return found
 
@@ -116,7 +110,7 @@ def _as_labels(values: NDArray[Any]) -> NDArray[Any]:
             f"it holds {values.min()} to {values.max()}: expected whole labels from 0 "
             "to 65535"
         )
-    return whole.astype(np.min_scalar_type(int(whole.max())))
+    return whole.astype(np.min_scalar_type(int(whole.max())), order="C")
 
 
 def _lay(volumes: list[NDArray[Any]], mask: NDArray[np.bool_], value: int) -> int:
@@ -149,15 +143,14 @@ def _read_dicom_segments(path: Path) -> Labels:
         geometry = file.get_volume_geometry(**options)
         if file.segmentation_type.value == "FRACTIONAL" or geometry is None:
             raise ValueError("its segments are fractional, or do not lie evenly")
-        for described in file.SegmentSequence:
-            number = int(described.SegmentNumber)
-            if number == 0:  # the background, which files of labels describe as well
-                continue
+        # Files of labels may describe the background, number 0, as well.
+        for number in filter(None, file.segment_numbers):
             only = file.get_volume(
                 segment_numbers=[number], combine_segments=True, **options
             )
-            volume = _lay(volumes, only.array != 0, number)
+            described = file.get_segment_description(number)
             name = str(described.SegmentLabel)
+            volume = _lay(volumes, only.array != 0, number)
             segments.append(Structure.named(name, number, volume, _coded(described)))
     except Exception as error:  # of damaged files: whatever is met first
         raise VolumeError(f"cannot read {path} as DICOM SEG: {error}") from error
@@ -207,32 +200,28 @@ def _slicer_segments(path: Path, volumes: int) -> list[Structure]:
         path: The file.
         volumes: How many layers it has.
     """
-    import SimpleITK
-
-    reader = SimpleITK.ImageFileReader()
-    reader.SetFileName(str(path))
-    reader.ReadImageInformation()
-    header = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-    count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
+    header = re.split(rb"\r?\n\r?\n", path.read_bytes(), maxsplit=1)[0]
+    pattern = r"(?m)^Segment(\d+)_(\w+):=(.*?)\r?$"
+    fields: dict[int, dict[str, str]] = {}
+    for number, key, text in re.findall(pattern, header.decode("utf-8", "replace")):
+        fields.setdefault(int(number), {})[key] = text
     segments: list[Structure] = []
-    for number in range(count):
-        prefix = f"Segment{number}_"
-        fields = {key.removeprefix(prefix): text for key, text in header.items()}
-        entries = re.findall(r"TerminologyEntry:([^|]*)", fields.get("Tags", ""))
-        parts = [part.split("^")[-1].strip() for part in "".join(entries).split("~")]
-        parts += [""] * 7
+    for number, field in sorted(fields.items()):
+        entry = re.search(r"TerminologyEntry:([^|]*)", field.get("Tags", ""))
+        entries = entry[1].split("~") if entry else []
+        parts = [*(part.split("^")[-1].strip() for part in entries), *[""] * 7]
+        kind = _kind_of_terms([*parts[2:4], *parts[5:7]])
+        name = field.get("Name", f"Segment{number}")
         try:
-            layer = int(fields.get("Layer", 0))
-            value = int(fields["LabelValue"])
-            if not 0 <= layer < volumes:
+            value = int(field["LabelValue"])
+            layer = int(field.get("Layer", 0))
+            if layer not in range(volumes):
                 raise ValueError(f"layer {layer} of {volumes}")
         except (KeyError, ValueError) as error:
             raise VolumeError(
-                f"{prefix} {error}: expected a label value and a layer of the file, as "
-                "3D Slicer writes them since 4.11"
+                f"Segment{number} has {error}: expected a label value and a layer of "
+                "the file, as 3D Slicer writes them since 4.11"
             ) from error
-        kind = _kind_of_terms([*parts[2:4], *parts[5:7]])
-        name = fields.get("Name", prefix[:-1])
         segments.append(Structure.named(name, value, layer, kind))
     return segments
 
@@ -246,16 +235,19 @@ def _named_by_terms(segments: Sequence[Structure]) -> list[Structure]:
         one.kind if one.kind and AUTOMATIC.fullmatch(one.name) else one.name
         for one in segments
     ]
-    unique = _tell_apart(names, segments)
-    return [replace(one, name=name) for name, one in zip(unique, segments, strict=True)]
+    return _called(segments, names)
 
 
-def _tell_apart(names: Sequence[str], items: Sequence[Structure]) -> list[str]:
-    """Return names with the old one behind those that were given several times."""
+def _called(items: Sequence[Structure], names: Sequence[str]) -> list[Structure]:
+    """Return structures called otherwise, if several alike with the old name behind."""
     counts = Counter(names)
-    return [
+    unique = [
         f"{name} ({item.name})" if counts[name] > 1 and name != item.name else name
         for name, item in zip(names, items, strict=True)
+    ]
+    return [
+        item if name == item.name else Structure.named(name, item.value, item.volume)
+        for name, item in zip(unique, items, strict=True)
     ]
 
 
@@ -285,8 +277,4 @@ def _rename(labels: Labels, names: Mapping[Any, str] | Path | str) -> Labels:
     new_names = [
         by_key.get(item.name, by_key.get(str(item.value), item.name)) for item in items
     ]
-    renamed = [
-        item if item.name == name else Structure.named(name, item.value, item.volume)
-        for item, name in zip(items, _tell_apart(new_names, items), strict=True)
-    ]
-    return Labels.of(labels.volumes, labels.grid, renamed)
+    return Labels.of(labels.volumes, labels.grid, _called(items, new_names))

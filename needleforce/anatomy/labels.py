@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needleforce.anatomy.body import find_body, resample_nearest
-from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
+from needleforce.anatomy.clearance import Clearance, VoxelBoxes
+from needleforce.anatomy.label_checks import check_against_scan
 from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
-from needleforce.anatomy.scan_agreement import check_against_scan
-from needleforce.anatomy.segmentation import Segmentation
-from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.structures import Segmentation, Structure
 from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
 from needleforce.anatomy.volume import Volume
 
@@ -127,9 +126,10 @@ class Labels(Segmentation):
 
     def skin(self) -> Surface:
         """Return the closed surface of all that is labelled; see `with_body`."""
-        skin = [Structure.named("skin", 1)]
-        body = Labels.of([self.inside().astype(np.uint8)], self.grid, skin)
-        return body.surfaces()["skin"]
+        inside = [self.inside().astype(np.uint8)]
+        return Labels.of(inside, self.grid, [Structure.named("skin", 1)]).surfaces()[
+            "skin"
+        ]
 
     def layers_along(self, entry_m: ArrayLike, target_m: ArrayLike) -> list[Layer]:
         """Return what a straight path crosses, in order, without gaps or overlaps.
@@ -153,7 +153,7 @@ class Labels(Segmentation):
         target_m: ArrayLike,
         names: Iterable[str] | None = None,
     ) -> list[Clearance]:
-        """Return how near a straight path comes to structures, the nearest first.
+        """Return how near a path comes to structures within 0.1 m, the nearest first.
 
         Every voxel counts as the box that it fills. `VoxelBoxes` judges many paths
         faster; `require_clear_path` refuses one that comes too near to an obstacle.
@@ -167,5 +167,9 @@ class Labels(Segmentation):
             VolumeError: No structure with voxels has one of the names.
         """
         chosen = self.at_risk() if names is None else [self[name] for name in names]
-        boxes = [VoxelBoxes(self, one) for one in chosen]
-        return find_clearances(boxes, entry_m, target_m)
+        within_m = 0.1  # structures further away are not reported
+        nearest = [
+            VoxelBoxes(self, one).nearest(entry_m, target_m, within_m) for one in chosen
+        ]
+        found = [one for one in nearest if one is not None]
+        return sorted(found, key=lambda one: (one.distance_m, one.depth_m))

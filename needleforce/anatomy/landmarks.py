@@ -62,32 +62,28 @@ def fit_landmarks(
     robot = np.asarray(robot_m, dtype=float)
     _require_landmarks(model, robot)
     fit = fit_rigidly(model, robot)
-    count = len(model)
-    residual_rms_m = float(np.sqrt(fit.squares_m2 / count))
-    degrees = 3.0 * count - 6.0
-    if fit.squares_m2 > std_m**2 * chdtri(degrees, false_refusal):
+    moved_m = fit.carry(model)
+    squares_m2 = float(((moved_m - robot) ** 2).sum())
+    residual_rms_m = float(np.sqrt(squares_m2 / len(model)))
+    degrees = 3.0 * len(model) - 6.0
+    if squares_m2 > std_m**2 * chdtri(degrees, false_refusal):
         raise RegistrationError(
             f"the landmarks do not fit: {1e3 * residual_rms_m:.1f} mm rms are left, "
             f"with {1e3 * std_m:g} mm per axis expected: two are swapped, one lies "
             "elsewhere, or they are a mirror image or scaled"
         )
-    _require_one_order(model, robot, std_m)
+    _require_one_order(model, robot, std_m, squares_m2)
     # Residuals that good landmarks exceed more seldom are taken for those of one
     # landmark that is off: its three coordinates decide.
-    is_off = chdtrc(degrees, fit.squares_m2 / std_m**2) < 0.05
-    if count == 3 and not (is_std_known and is_off):
+    is_off = chdtrc(degrees, squares_m2 / std_m**2) < 0.05
+    # A known deviation counts as half a residual: as all but those of the landmarks,
+    # or one of them that is off would leave the error as it is.
+    stated = 0.0 if is_off else 0.5 * is_std_known
+    variance_m2 = (squares_m2 + stated * std_m**2) / (degrees + stated)
+    degrees = 3.0 if is_off else degrees + stated
+    if len(model) == 3 and not (is_std_known and is_off):
         variance_m2 = std_m**2 if is_std_known else np.nan
-        degrees = np.inf if is_std_known else degrees
-    elif is_off:
-        variance_m2 = fit.squares_m2 / degrees
-        degrees = 3.0
-    else:
-        # A known deviation counts as half a residual: as all but those of the
-        # landmarks, or one of them that is off would leave the error as it is.
-        stated = 0.5 * is_std_known
-        variance_m2 = (fit.squares_m2 + stated * std_m**2) / (degrees + stated)
-        degrees += stated
-    moved_m = fit.carry(model)
+        degrees = np.inf if is_std_known else 3.0
     pivot_m = moved_m.mean(axis=0)
     rows = displacement_jacobian(moved_m - pivot_m).reshape(-1, 6)
     return Registration(
@@ -108,10 +104,9 @@ def _require_landmarks(model: Array, robot: Array) -> None:
             f"landmarks of shapes {model.shape} and {robot.shape}, too few or one not "
             "finite: expected (n, 3) twice, three or more"
         )
-    model_length_m, model_width_m, _ = rms_extents_m(model)
-    robot_length_m, robot_width_m, _ = rms_extents_m(robot)
-    ratio = robot_length_m / max(model_length_m, 1e-12)
-    is_narrow = min(model_width_m, robot_width_m) < MIN_WIDTH_m
+    extents_m = np.array([rms_extents_m(model), rms_extents_m(robot)])
+    ratio = extents_m[1, 0] / max(extents_m[0, 0], 1e-12)
+    is_narrow = extents_m[:, 1].min() < MIN_WIDTH_m
     if is_narrow or not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touched landmarks are {ratio:.3g} times as far apart as those of the "
@@ -120,7 +115,9 @@ def _require_landmarks(model: Array, robot: Array) -> None:
         )
 
 
-def _require_one_order(model: Array, robot: Array, std_m: float) -> None:
+def _require_one_order(
+    model: Array, robot: Array, std_m: float, squares_m2: float
+) -> None:
     """Refuse landmarks that fit as well in another order: they lie symmetrically."""
     # Of more landmarks not all orders are tried.
     max_ordered = 7
@@ -133,16 +130,15 @@ def _require_one_order(model: Array, robot: Array, std_m: float) -> None:
     equal_fit = 10.0 if len(model) > 3 else 2.0
     if len(model) > max_ordered:
         return
-    max_squares_m2 = fit_rigidly(model, robot).squares_m2 + equal_fit * std_m**2
     # Without the first one, which is the stated order.
     orders = np.array(list(permutations(range(len(model)))))[1:]
     gaps_m = cdist(robot, robot)[orders[:, :, None], orders[:, None, :]]
     differences_m = np.abs(gaps_m - cdist(model, model)).max(axis=(1, 2))
     for order in orders[differences_m <= max_gap_std * std_m]:
-        if fit_rigidly(model, robot[order]).squares_m2 <= max_squares_m2:
-            numbers = ", ".join(str(number + 1) for number in order)
+        off_m = fit_rigidly(model, robot[order]).carry(model) - robot[order]
+        if (off_m**2).sum() <= squares_m2 + equal_fit * std_m**2:
             raise RegistrationError(
-                f"the landmarks fit as well in another order ({numbers}): they lie "
+                f"the landmarks fit as well in another order ({order + 1}): they lie "
                 "symmetrically; touch one more, off the symmetry"
             )
 
@@ -190,23 +186,22 @@ def judge_landmarks(
     """
     model = np.asarray(model_m, dtype=float)
     robot = np.asarray(robot_m, dtype=float)
-    fit = fit_rigidly(model, robot)
-    left_m = np.linalg.norm(fit.carry(model) - robot, axis=1).tolist()
+    left_m = fit_rigidly(model, robot).carry(model) - robot
     residuals: list[LandmarkResidual] = []
     for number, name in enumerate(names or map(str, range(1, len(model) + 1))):
-        is_other = np.arange(len(model)) != number
+        others = np.delete(np.arange(len(model)), number)
         distance_m = probability = np.nan
-        if len(model) > 3 and rms_extents_m(model[is_other])[1] >= MIN_WIDTH_m:
-            moved_m = fit_rigidly(model[is_other], robot[is_other]).carry(model)
+        if len(model) > 3 and rms_extents_m(model[others])[1] >= MIN_WIDTH_m:
+            moved_m = fit_rigidly(model[others], robot[others]).carry(model)
             error_m = moved_m[number] - robot[number]
             distance_m = float(np.linalg.norm(error_m))
-            jacobian = displacement_jacobian(moved_m - moved_m[is_other].mean(axis=0))
-            rows = jacobian[is_other].reshape(-1, 6)
+            jacobian = displacement_jacobian(moved_m - moved_m[others].mean(axis=0))
+            rows = jacobian[others].reshape(-1, 6)
             inner = np.linalg.solve(rows.T @ rows, jacobian[number].T)
             factor = np.eye(3) + jacobian[number] @ inner
             squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
-            is_judged = len(model) >= MIN_VERIFIED
-            probability = float(chdtrc(3, squares)) if is_judged else np.nan
-        residual = LandmarkResidual(name, left_m[number], distance_m, probability)
-        residuals.append(residual)
+            if len(model) >= MIN_VERIFIED:
+                probability = float(chdtrc(3, squares))
+        left = float(np.linalg.norm(left_m[number]))
+        residuals.append(LandmarkResidual(name, left, distance_m, probability))
     return residuals

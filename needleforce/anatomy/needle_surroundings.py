@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes, nearest_box
+from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.registration import Registration
 
@@ -115,6 +115,7 @@ class NeedleSurroundings:
         # A structure that the plan itself passes nearer than its margin is too near
         # only when the needle comes nearer by this much.
         closer_m = 1e-3
+        kept_free_m = space.needle_radius_m + space.margin_m
         left_out = frozenset(leave_out)
         chosen = [one for one in labels.at_risk() if one.name not in left_out]
         self.names = tuple(one.name for one in chosen)
@@ -125,14 +126,11 @@ class NeedleSurroundings:
         self._length_m = float(np.linalg.norm(way_m))
         self._axis = way_m / self._length_m
         self._std_m = space.std_m
-        kept_free_m = space.needle_radius_m + space.margin_m
+        planned = [
+            boxes.nearest(entry_m, target_m, kept_free_m) for boxes in self._boxes
+        ]
         self._needed_m = [
-            kept_free_m
-            if planned is None or planned.distance_m > kept_free_m
-            else planned.distance_m - closer_m
-            for planned in (
-                one.nearest(entry_m, target_m, REACH_m) for one in self._boxes
-            )
+            kept_free_m if one is None else one.distance_m - closer_m for one in planned
         ]
         self._ends_m: Array = np.zeros((0, 3))
         self._found: tuple[NeedleClearance, ...] = ()
@@ -161,14 +159,12 @@ class NeedleSurroundings:
         ends_m = step_m * np.rint(np.array([skin, tip, last]) / step_m)
         if not np.array_equal(ends_m, self._ends_m):
             self._ends_m = ends_m
-            numbers = range(len(self._boxes))
-            measured = [self._measure(number, ends_m) for number in numbers]
-            near = [one for one in measured if one.distance_m < np.inf]
-            self._found = sort_clearances(near)
+            found = [self._measure(n, ends_m) for n in range(len(self._boxes))]
+            self._found = sort_clearances(filter(None, found))
         return self._found
 
-    def _measure(self, number: int, ends_m: Array) -> NeedleClearance:
-        """Return how near the needle comes to a structure.
+    def _measure(self, number: int, ends_m: Array) -> NeedleClearance | None:
+        """Return how near the needle comes to a structure; None if it stays away.
 
         Args:
             number: Of the structure.
@@ -176,26 +172,20 @@ class NeedleSurroundings:
                 entry and tip are one above the skin.
         """
         boxes = self._boxes[number]
-        ends = boxes.along_grid(ends_m)
-        inside_m, inside_at, inside_row = nearest_box(boxes.tree, ends[:2], REACH_m)
-        ahead_m, ahead_at, ahead_row = nearest_box(boxes.tree, ends[1:], REACH_m)
-        if inside_row == 0 or np.array_equal(ends_m[0], ends_m[1]):
-            inside_m = np.inf
-        if ahead_row == 0:
-            ahead_m = np.inf
-        place = ends[0] + inside_at * (ends[1] - ends[0])
-        box = boxes.tree[inside_row]
-        if ahead_m < inside_m:
-            place = ends[1] + ahead_at * (ends[2] - ends[1])
-            box = boxes.tree[ahead_row]
-        nearest = np.clip(place, box[:3] - box[3:], box[:3] + box[3:])
+        is_inside = not np.array_equal(ends_m[0], ends_m[1])
+        inside = boxes.nearest(ends_m[0], ends_m[1], REACH_m) if is_inside else None
+        ahead = boxes.nearest(ends_m[1], ends_m[2], REACH_m)
+        found = [one for one in (inside, ahead) if one is not None]
+        if not found:
+            return None
+        nearest = min(found, key=lambda one: one.distance_m)
         return NeedleClearance(
             number,
             self.names[number],
-            inside_m,
-            ahead_m,
+            np.inf if inside is None else inside.distance_m,
+            np.inf if ahead is None else ahead.distance_m,
             self._std_m,
             self._needed_m[number],
-            boxes.structure.is_obstacle,
-            *self._registration.to_robot(boxes.from_grid(nearest)).tolist(),
+            nearest.is_obstacle,
+            *self._registration.to_robot(nearest.place_m).tolist(),
         )

@@ -9,10 +9,8 @@ avoid is left out; the others are ranked by
 and of those whose entries lie close together the best is kept.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +19,7 @@ from foundation.arrays import Array
 from needleforce.anatomy.clearance import Clearance, FreeSpace, VoxelBoxes
 from needleforce.anatomy.errors import PlanError, VolumeError
 from needleforce.anatomy.labels import Labels
-from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
+from needleforce.anatomy.path_layers import UNLABELLED, Layer
 
 DIRECTIONS = 6000
 """Rays over the whole sphere: 2.6 degrees from one to the next, 5 mm at 110 mm."""
@@ -71,25 +69,13 @@ class SkinPath:
         return float(np.linalg.norm(self.target_m - self.entry_m))
 
 
-class FoundPaths(NamedTuple):
-    """What a search found.
-
-    Attributes:
-        paths: The best first.
-        rejected: How many rays were left out, by the reason.
-    """
-
-    paths: tuple[SkinPath, ...]
-    rejected: Counter[str]
-
-
 def find_paths(
     labels: Labels,
     target_m: ArrayLike,
     avoid: Iterable[str],
     limits: PathLimits = PathLimits(),
     progress: Callable[[float], None] = lambda fraction: None,
-) -> FoundPaths:
+) -> tuple[SkinPath, ...]:
     """Return the best straight paths from the skin to a target.
 
     Args:
@@ -110,96 +96,70 @@ def find_paths(
     body = _Body(labels)
     if body.kinds(target) != 1:
         raise VolumeError(f"the target {target.tolist()} m lies outside the body")
-    directions = _even_directions(DIRECTIONS)
-    entries_m = body.exits_m(target, directions, limits.max_length_m)
-    has_exit = np.isfinite(entries_m).all(axis=1)
-    angles_rad = np.full(DIRECTIONS, np.inf)
-    angles_rad[has_exit] = body.skin_angles_rad(entries_m[has_exit], target)
-    is_clear = has_exit & (angles_rad <= limits.max_angle_rad)
-    rejected = Counter(
-        {
-            f"longer than {1e3 * limits.max_length_m:g} mm": int((~has_exit).sum()),
-            f"more than {np.degrees(limits.max_angle_rad):.0f} degrees from the skin's "
-            "normal": int((has_exit & ~is_clear).sum()),
-        }
-    )
+    exits_m = [
+        body.exit_m(target, direction, limits.max_length_m)
+        for direction in _even_directions(DIRECTIONS)
+    ]
+    entries_m = np.array([place_m for place_m in exits_m if np.isfinite(place_m).all()])
+    angles_rad = np.array([body.skin_angle_rad(entry, target) for entry in entries_m])
+    is_clear = angles_rad <= limits.max_angle_rad
+    steep = int(np.count_nonzero(is_clear))
     needed_m = limits.space.needed_m
     for number, one in enumerate(boxes, 1):
-        reason = f"nearer than {1e3 * needed_m:.1f} mm to {one.structure.name}"
-        for ray in np.flatnonzero(is_clear):
-            if one.nearest(entries_m[ray], target, needed_m) is not None:
-                is_clear[ray] = False
-                rejected[reason] += 1
+        near = [
+            ray
+            for ray in np.flatnonzero(is_clear)
+            if one.nearest(entries_m[ray], target, needed_m) is not None
+        ]
+        is_clear[near] = False
         progress(number / len(boxes))
     if not is_clear.any():
-        reasons = [f"{count} {why}" for why, count in rejected.most_common() if count]
         raise PlanError(
-            f"no path: of {DIRECTIONS} directions from the target {', '.join(reasons)}",
+            f"no path: of {DIRECTIONS} directions from the target {len(entries_m)} "
+            f"leave the body within {1e3 * limits.max_length_m:g} mm, {steep} of these "
+            f"within {np.degrees(limits.max_angle_rad):.0f} degrees of the skin's "
+            f"normal, and none stays {1e3 * needed_m:.1f} mm from all of "
+            f"{', '.join(one.structure.name for one in boxes)}",
             "Allow a longer or a flatter path or a smaller margin, avoid less, or "
             "choose another target.",
         )
-    return FoundPaths(
-        _rank(labels, boxes, entries_m[is_clear], angles_rad[is_clear], target, limits),
-        rejected,
-    )
+    clear = (entries_m[is_clear], angles_rad[is_clear])
+    return _rank(labels, boxes, *clear, target, limits)
 
 
-def judge_path(
-    labels: Labels,
-    entry_m: ArrayLike,
-    target_m: ArrayLike,
-    limits: PathLimits = PathLimits(),
+def judge_line(
+    labels: Labels, ends_m: Array, limits: PathLimits = PathLimits()
 ) -> SkinPath:
-    """Return one path from the skin towards a given point outside, judged.
+    """Return the path along a line, from the skin to one of its ends, judged.
 
-    Args:
-        labels: The segmentation with the body.
-        entry_m: A point of the line, at the skin or outside, (3,) in LPS.
-        target_m: Where it ends, inside, (3,).
-        limits: What a path may be; nothing is refused here.
-
-    Raises:
-        VolumeError: The target lies outside the body, or the line never leaves it.
-    """
-    target = np.asarray(target_m, dtype=float)
-    body = _Body(labels)
-    way_m = np.asarray(entry_m, dtype=float) - target
-    entries_m = body.exits_m(target, way_m[None] / np.linalg.norm(way_m))
-    if body.kinds(target) != 1 or not np.isfinite(entries_m).all():
-        raise VolumeError("the line leads from no point outside to one inside the body")
-    boxes = [VoxelBoxes(labels, one) for one in labels.at_risk()]
-    angles_rad = body.skin_angles_rad(entries_m, target)
-    return _rank(labels, boxes, entries_m, angles_rad, target, limits)[0]
-
-
-def orient_line(labels: Labels, ends_m: Array) -> tuple[Array, Array]:
-    """Return the entry and the target, (3,) each: programs write either one first.
-
-    The entry is the end behind which, or in front of which, the body soon ends.
+    Programs write either end first: the target is the one from which, through the
+    other, the way to the skin is shorter.
 
     Args:
         labels: The segmentation with the body.
         ends_m: The two ends in LPS, shape (2, 3).
+        limits: What a path may be; nothing is refused here.
 
     Raises:
         VolumeError: The ends are one point, or neither leads out of the body.
     """
     body = _Body(labels)
-    lengths_m = np.full(2, np.inf)  # from the target, through the entry, to the skin
-    for entry in (0, 1):
-        target_m = ends_m[1 - entry]
-        way_m = ends_m[entry] - target_m
+    exits_m: list[Array] = []
+    for outer_m, target_m in (ends_m, ends_m[::-1]):
+        way_m = outer_m - target_m
         direction = way_m / max(float(np.linalg.norm(way_m)), 1e-9)
-        exit_m = body.exits_m(target_m, direction[None])[0]
-        if body.kinds(target_m) == 1 and np.isfinite(exit_m).all() and way_m.any():
-            lengths_m[entry] = np.linalg.norm(exit_m - target_m)
-    entry = int(lengths_m.argmin())
-    if lengths_m[entry] == np.inf:
+        exits_m.append(body.exit_m(target_m, direction))
+    lengths_m = np.linalg.norm(np.array(exits_m) - ends_m[::-1], axis=1)
+    if np.isnan(lengths_m).all():
         raise VolumeError(
             "neither end of the line lies inside the body, with the skin behind the "
             "other one"
         )
-    return ends_m[entry], ends_m[1 - entry]
+    entry = int(np.nanargmin(lengths_m))
+    boxes = [VoxelBoxes(labels, one) for one in labels.at_risk()]
+    target_m = ends_m[1 - entry]
+    angle_rad = np.array([body.skin_angle_rad(exits_m[entry], target_m)])
+    return _rank(labels, boxes, exits_m[entry][None], angle_rad, target_m, limits)[0]
 
 
 def _even_directions(count: int) -> Array:
@@ -221,33 +181,30 @@ class _Body:
     def __init__(self, labels: Labels) -> None:
         self._grid = labels.grid
         self._inside = labels.inside()
+        self._diagonal_m = float(np.linalg.norm(np.ptp(self._grid.corners_m(), axis=0)))
 
     def kinds(self, points_m: Array) -> NDArray[np.integer]:
         """Return 1 for points (..., 3) in the body, 0 in air, -1 beyond the volume."""
         return self._grid.nearest(self._inside, self._grid.indices(points_m), -1)
 
-    def exits_m(
-        self, target: Array, directions: Array, max_length_m: float = np.inf
+    def exit_m(
+        self, target: Array, direction: Array, max_length_m: float = np.inf
     ) -> Array:
-        """Return where rays from a target leave the body soon enough, (n, 3).
+        """Return where a ray from a target leaves the body soon enough, (3,).
 
-        A ray that leaves the volume before it leaves the body has no entry: nan.
+        One that begins outside, or leaves the volume before the body, has none: nan.
         """
-        diagonal_m = float(np.linalg.norm(np.ptp(self._grid.corners_m(), axis=0)))
-        reach_m = min(diagonal_m, max_length_m)
+        reach_m = min(self._diagonal_m, max_length_m)
         step_m = 0.5 * float(self._grid.spacing_m.min())
-        distances_m = step_m * np.arange(1, int(reach_m / step_m) + 2)
-        exits_m = np.full(directions.shape, np.nan)
-        for number, direction in enumerate(directions):
-            kinds = self.kinds(target + distances_m[:, None] * direction)
-            first = int((kinds != 1).argmax())
-            length_m = distances_m[first] - 0.5 * step_m
-            if kinds[first] == 0 and length_m <= reach_m:
-                exits_m[number] = target + length_m * direction
-        return exits_m
+        distances_m = step_m * np.arange(int(reach_m / step_m) + 2)
+        kinds = self.kinds(target + distances_m[:, None] * direction)
+        first = int((kinds != 1).argmax())
+        length_m = distances_m[first] - 0.5 * step_m
+        has_exit = kinds[first] == 0 and 0.0 < length_m <= reach_m
+        return target + direction * (length_m if has_exit else np.nan)
 
-    def skin_angles_rad(self, entries_m: Array, target: Array) -> Array:
-        """Return the angles between paths and the skin's normal, (n,).
+    def skin_angle_rad(self, entry_m: Array, target: Array) -> float:
+        """Return the angle between a path and the skin's normal.
 
         The normal points to the centroid of the part of a ball that lies outside the
         body: folds and voxels average out, the curvature of a flank does not.
@@ -256,14 +213,11 @@ class _Body:
         normal_points = 1200  # in it
         radii = np.cbrt((np.arange(normal_points) * 0.618) % 1.0)
         offsets_m = skin_reach_m * radii[:, None] * _even_directions(normal_points)
-        angles_rad = np.empty(len(entries_m))
-        for number, entry_m in enumerate(entries_m):
-            normal = offsets_m[self.kinds(entry_m + offsets_m) != 1].sum(axis=0)
-            way_m = entry_m - target
-            lengths = np.linalg.norm(normal) * np.linalg.norm(way_m)
-            cosine = normal @ way_m / max(lengths, 1e-12)
-            angles_rad[number] = np.arccos(np.clip(cosine, -1.0, 1.0))
-        return angles_rad
+        normal = offsets_m[self.kinds(entry_m + offsets_m) != 1].sum(axis=0)
+        way_m = entry_m - target
+        lengths = np.linalg.norm(normal) * np.linalg.norm(way_m)
+        cosine = normal @ way_m / max(lengths, 1e-12)
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _rank(
@@ -286,28 +240,32 @@ def _rank(
     judged = np.argsort(costs)[:max_judged]
     for ray in judged:
         nearest = [one.nearest(entries_m[ray], target) for one in avoided]
-        clearances_m = [np.inf, *(one.distance_m for one in nearest if one is not None)]
-        costs[ray] += limits.space.needed_m / max(min(clearances_m), min_clearance_m)
+        clearances_m = [one.distance_m for one in nearest if one is not None]
+        nearest_m = max(min(clearances_m, default=np.inf), min_clearance_m)
+        costs[ray] += limits.space.needed_m / nearest_m
     paths: list[SkinPath] = []
     for ray in judged[np.argsort(costs[judged])]:
         apart_m = [np.linalg.norm(entries_m[ray] - path.entry_m) for path in paths]
         if len(paths) < max_paths and min(apart_m, default=1.0) >= min_entry_distance_m:
-            angle_rad = float(angles_rad[ray])
-            cost = float(costs[ray])
-            paths.append(_describe(labels, entries_m[ray], target, angle_rad, cost))
+            entry_m = _begin_at_tissue(labels, entries_m[ray], target)
+            path = SkinPath(
+                entry_m=entry_m,
+                target_m=target,
+                angle_rad=float(angles_rad[ray]),
+                cost=float(costs[ray]),
+                layers=tuple(labels.layers_along(entry_m, target)),
+                clearances=tuple(labels.clearances(entry_m, target)),
+            )
+            paths.append(path)
     return tuple(paths)
 
 
-def _describe(
-    labels: Labels, entry_m: Array, target: Array, angle_rad: float, cost: float
-) -> SkinPath:
-    """Return a path with its layers and clearances; it begins at the first tissue."""
-    # So much air the path of a found entry may begin with: skin lies between voxels.
-    max_gap_m = 3e-3
-    layers = find_layers(labels, entry_m, target)
-    if layers[0].name == UNLABELLED and layers[0].exit_m < max_gap_m:
-        axis = (target - entry_m) / np.linalg.norm(target - entry_m)
-        entry_m = entry_m + layers[0].exit_m * axis
-        layers = find_layers(labels, entry_m, target)
-    clearances = labels.clearances(entry_m, target)
-    return SkinPath(entry_m, target, angle_rad, cost, tuple(layers), tuple(clearances))
+def _begin_at_tissue(labels: Labels, entry_m: Array, target: Array) -> Array:
+    """Return the entry without air in front of it: skin lies between voxels."""
+    max_gap_m = 3e-3  # so much air a found path may begin with
+    first = labels.layers_along(entry_m, target)[0]
+    if first.name != UNLABELLED or first.exit_m >= max_gap_m:
+        return entry_m
+    return entry_m + first.exit_m * (target - entry_m) / np.linalg.norm(
+        target - entry_m
+    )

@@ -110,9 +110,10 @@ class PlanMatch:
         _require_layers(layers, frozenset(accepted_obstacles))
         self.offset_std_m = float(offset_std_m)
         self.layers = tuple(layers)
-        self.fingerprint = _fingerprint(layers, float(offset_std_m))
-        bound_m = np.array([float(layer.entry_m) for layer in layers])
-        bound_std_m = np.array([float(layer.entry_std_m) for layer in layers])
+        names = [(layer.name, layer.is_obstacle) for layer in layers]
+        bounds_m = np.array([(one.entry_m, one.entry_std_m) for one in layers], float)
+        plan = repr((names, [*map(tuple, bounds_m.tolist())], self.offset_std_m))
+        self.fingerprint = sha256(plan.encode()).hexdigest()[:16]
         # Air in front of the skin is no layer: boundaries lie in front of each from the
         # first tissue on, the first is the surface. Without a body among the labels it
         # is tissue, too.
@@ -120,9 +121,9 @@ class PlanMatch:
         self._first = 1 if has_air else 0
         self._model = RuptureModel(
             [layer.name for layer in self.layers[self._first :]],
-            bound_m[self._first :],
-            bound_std_m[self._first :],
-            float(offset_std_m),
+            bounds_m[self._first :, 0],
+            bounds_m[self._first :, 1],
+            self.offset_std_m,
         )
 
     def state(
@@ -155,16 +156,22 @@ class PlanMatch:
         withdrawn_m = 1e-3  # a tip so far above the deepest point is being withdrawn
         # What lies behind the last boundary.
         behind_all = Layer("", *[np.nan] * 4, is_obstacle=False)
-        _require_finite(depth_m, deepest_m, contact_m, entry_depth_m)
+        if not np.isfinite(
+            [depth_m, deepest_m or 0, contact_m or 0, entry_depth_m]
+        ).all():
+            raise PlanError(
+                f"depths of tip {depth_m}, deepest point {deepest_m}, contact "
+                f"{contact_m}, entry {entry_depth_m} m: expected finite ones"
+            )
         model = self._model
         tip_m = float(depth_m) - entry_depth_m
-        lowest_m = tip_m
-        if deepest_m is not None:
-            lowest_m = max(float(deepest_m) - entry_depth_m, tip_m)
+        lowest_tip_m = depth_m if deepest_m is None else float(deepest_m)
+        lowest_m = max(lowest_tip_m - entry_depth_m, tip_m)
         if contact_m is not None:
             model = model.met_at(contact_m - entry_depth_m)
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        joint, matched, matched_probability = model.infer(lowest_m, ruptures)
+        joint, by_matched = model.infer(lowest_m, ruptures)
+        matched = int(np.argmax(by_matched)) - 1
         is_withdrawn = tip_m < lowest_m - withdrawn_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
@@ -184,7 +191,7 @@ class PlanMatch:
             next_std_m=float(np.sqrt(variance_m2 + next_layer.entry_std_m**2)),
             matched=matched,
             matched_name=self._name(matched, FALSE_ALARM) if ruptures else "",
-            matched_probability=matched_probability,
+            matched_probability=float(by_matched.max()),
             is_obstacle_next=next_layer.is_obstacle,
         )
 
@@ -212,14 +219,6 @@ class PlanMatch:
         return OUTSIDE if layer < self._first else self.layers[layer].name
 
 
-def _fingerprint(layers: Sequence[Layer], offset_std_m: float) -> str:
-    """Return 16 hexadecimal digits that are equal for equal plans."""
-    names = [(layer.name, layer.is_obstacle) for layer in layers]
-    bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
-    plan = repr((names, bounds, offset_std_m))
-    return sha256(plan.encode()).hexdigest()[:16]
-
-
 def _require_layers(layers: Sequence[Layer], accepted: frozenset[str]) -> None:
     """Refuse what is no plan: depths that do not grow or are not in metres, bone.
 
@@ -239,18 +238,10 @@ def _require_layers(layers: Sequence[Layer], accepted: frozenset[str]) -> None:
         raise PlanError(f"the path runs through {', '.join(obstacles)}", OTHER_PATH)
     depths_m = np.array([*(one.entry_m for one in layers), layers[-1].exit_m], float)
     stds_m = np.array([one.entry_std_m for one in layers], float)
-    is_ordered = np.all(np.abs(depths_m) < max_depth_m) and np.all(
-        np.diff(depths_m) >= 0.0
-    )
-    if not is_ordered or not np.all((stds_m >= 0.0) & (stds_m < max_depth_m)):
+    is_ordered = np.abs(depths_m).max() < max_depth_m and np.diff(depths_m).min() >= 0.0
+    if not is_ordered or not 0.0 <= stds_m.min() <= stds_m.max() < max_depth_m:
         raise PlanError(
             f"boundaries at {depths_m.tolist()} m, deviations {stds_m.tolist()}: "
             f"expected depths that grow, in metres and below {max_depth_m:g}, and no "
             "negative deviation"
         )
-
-
-def _require_finite(*depths_m: float | None) -> None:
-    """Refuse depths that are not finite: of tip, contact and entry."""
-    if not np.isfinite([depth_m or 0.0 for depth_m in depths_m]).all():
-        raise PlanError(f"depths of {depths_m} m: expected finite ones")

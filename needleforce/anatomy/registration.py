@@ -94,8 +94,7 @@ class Registration:
         Args:
             points_m: Of the model, shape (n, 3).
         """
-        points = np.atleast_2d(np.asarray(points_m, dtype=float))
-        variances_m2 = np.linalg.eigvalsh(self.covariance_at(points))
+        variances_m2 = np.linalg.eigvalsh(self.covariance_at(points_m))
         return float(np.sqrt(variances_m2.max()))
 
     def region_contains(
@@ -112,38 +111,35 @@ class Registration:
         error_m = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
         covariance = self.covariance_at(point_m) + min_variance_m2 * np.eye(3)
         hotelling_t2 = error_m @ np.linalg.solve(covariance, error_m)
-        degrees = min(self.degrees, MAX_DEGREES)
-        return bool(hotelling_t2 <= 3.0 * fdtri(3, degrees, level))
+        quantile = 3.0 * fdtri(3, min(self.degrees, MAX_DEGREES), level)
+        return bool(hotelling_t2 <= quantile)
 
 
-class RigidFit(NamedTuple):
-    """The motion that carries points to others with the least squares.
+class RigidTransform(NamedTuple):
+    """A motion: y = R x + t.
 
     Attributes:
-        rotation: Shape (3, 3).
-        translation_m: Shape (3,).
-        squares_m2: Sum of the squares that are left.
+        rotation: R, from the model to the robot's base, (3, 3).
+        translation_m: t, (3,).
     """
 
     rotation: Array
     translation_m: Array
-    squares_m2: float
 
     def carry(self, points_m: Array) -> Array:
         """Return points (n, 3) of the model where the motion carries them."""
         return points_m @ self.rotation.T + self.translation_m
 
 
-def fit_rigidly(model_m: Array, robot_m: Array) -> RigidFit:
+def fit_rigidly(model_m: Array, robot_m: Array) -> RigidTransform:
     """Fit a rotation and a shift to points in both frames, shape (n, 3) each.
 
     Least squares (Arun, Huang, Blostein 1987).
     """
     model_mean_m = model_m.mean(axis=0)
     robot_mean_m = robot_m.mean(axis=0)
-    fit = Rotation.align_vectors(robot_m - robot_mean_m, model_m - model_mean_m)
-    shift_m = robot_mean_m - fit[0].apply(model_mean_m)
-    return RigidFit(fit[0].as_matrix(), shift_m, float(fit[1]) ** 2)
+    fit = Rotation.align_vectors(robot_m - robot_mean_m, model_m - model_mean_m)[0]
+    return RigidTransform(fit.as_matrix(), robot_mean_m - fit.apply(model_mean_m))
 
 
 def displacement_jacobian(lever_m: Array) -> Array:
@@ -152,25 +148,9 @@ def displacement_jacobian(lever_m: Array) -> Array:
     Args:
         lever_m: From the pivot to the points, shape (..., 3).
     """
-    jacobian = np.zeros((*lever_m.shape, 6))
-    jacobian[..., :, 3:] = np.eye(3)
-    for axis in range(3):
-        after = (axis + 1) % 3
-        last = (axis + 2) % 3
-        jacobian[..., after, last] = lever_m[..., axis]
-        jacobian[..., last, after] = -lever_m[..., axis]
-    return jacobian
-
-
-def small_turn(rotation: Array) -> Array:
-    """Return the vector (3,) of a rotation (3, 3) by less than half a turn.
-
-    `Rotation.as_rotvec` does the same; checking its argument takes a millisecond.
-    """
-    sines = 0.5 * (rotation - rotation.T)[[2, 0, 1], [1, 2, 0]]
-    sine = float(np.linalg.norm(sines))
-    angle_rad = np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0))
-    return sines * (angle_rad / sine if sine > 0.0 else 1.0)
+    turned = np.cross(np.eye(3), lever_m[..., None, :])  # about each axis, in rows
+    shifted = np.broadcast_to(np.eye(3), turned.shape)
+    return np.concatenate([np.swapaxes(turned, -1, -2), shifted], axis=-1)
 
 
 def rms_length(vectors: Array) -> float:

@@ -8,7 +8,7 @@ may have been the last one matched, the first row for none.
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -33,21 +33,6 @@ LATE_STD_m = 2.5e-3
 CONTACT_STD_m = 0.15e-3
 """Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor;
 in the last it was found 4.8 mm too high, in the air."""
-
-
-class Posterior(NamedTuple):
-    """What contact, ruptures and the deepest point of the tip say.
-
-    Attributes:
-        joint: Probability of each number of boundaries passed (rows) and offset.
-        matched: The boundary that the last rupture most likely was; -1 for a false
-            alarm.
-        matched_probability: Of that.
-    """
-
-    joint: Array
-    matched: int
-    matched_probability: float
 
 
 class RuptureModel:
@@ -113,12 +98,18 @@ class RuptureModel:
         model._std_m[:, 0, 0] = CONTACT_STD_m, np.hypot(CONTACT_STD_m, LATE_STD_m)
         return model
 
-    def infer(self, deepest_m: float, ruptures_m: Sequence[float]) -> Posterior:
+    def infer(
+        self, deepest_m: float, ruptures_m: Sequence[float]
+    ) -> tuple[Array, Array]:
         """Return what is known with the tip as deep as it has been.
 
         Args:
             deepest_m: Of the tip.
             ruptures_m: In their order.
+
+        Returns:
+            Probability of each number of boundaries passed (rows) and offset; and of
+            what the last rupture was: a false alarm, or each boundary.
 
         Raises:
             PlanError: A rupture is not finite, or above the one before.
@@ -129,25 +120,20 @@ class RuptureModel:
         # Where the tip is, boundaries wait, or were passed unnoticed.
         later = ndtr((self._rupture_m - deepest_m + alarm_m) / self._std_m)
         passed = self._missed * (self._rupture_m[0] <= deepest_m)
-        waiting = (self._at_once_and_late * later).sum(axis=0)
-        waiting = (1.0 - self._missed) * waiting + self._missed - passed
+        waiting = (1.0 - self._missed) * (self._at_once_and_late * later).sum(axis=0)
+        waiting = waiting + self._missed - passed
         weight, false_alarm = self._weigh(ruptures_m)
         joint = _sum_in_front(weight, passed)
         joint[:-1] *= waiting
         # Where nothing explains the depth, what was known before stays.
-        total = joint.sum()
-        joint = joint / total if total > 0.0 else weight
+        joint = joint / joint.sum() if joint.sum() > 0.0 else weight
         # Whichever the last one was: what lies behind it was passed without another.
         behind = np.ones_like(weight)
-        for boundary in reversed(range(len(waiting))):
-            behind[boundary] = (
-                waiting[boundary] + passed[boundary] * behind[boundary + 1]
-            )
+        for row in reversed(range(len(waiting))):
+            behind[row] = waiting[row] + passed[row] * behind[row + 1]
         likelihood = ((weight - false_alarm) * behind).sum(axis=1)
         likelihood[0] = (false_alarm * behind).sum()
-        best = int(np.argmax(likelihood))
-        probability = likelihood[best] / max(likelihood.sum(), 1e-300)
-        return Posterior(joint, best - 1, float(probability))
+        return joint, likelihood / max(likelihood.sum(), 1e-300)
 
     def _weigh(self, ruptures_m: Sequence[float]) -> tuple[Array, Array]:
         """Return the probabilities of each assignment and offset after ruptures.
@@ -160,21 +146,19 @@ class RuptureModel:
         weight = false_alarm = self._weight
         deepest_m = -np.inf
         for depth_m in ruptures_m:
-            if not np.isfinite(depth_m) or depth_m < deepest_m - order_tolerance_m:
+            if not deepest_m - order_tolerance_m <= depth_m < np.inf:
                 raise PlanError(
                     f"rupture at {depth_m!r} m after one at {deepest_m:.4f} m"
                 )
             deepest_m = max(deepest_m, depth_m)
-            false_alarm = false_per_m * weight
-            densities = self._at_once_and_late * _normal_density(
-                depth_m - self._rupture_m, self._std_m
-            )
+            off_m = depth_m - self._rupture_m
+            densities = self._at_once_and_late * _normal_density(off_m, self._std_m)
             in_front = _sum_in_front(weight, self._missed)[:-1]
             matched = in_front * (1.0 - self._missed) * densities.sum(axis=0)
+            false_alarm = false_per_m * weight
             weight = false_alarm + np.pad(matched, ((1, 0), (0, 0)))
-            total = weight.sum()
-            weight = weight / total
-            false_alarm = false_alarm / total
+            false_alarm = false_alarm / weight.sum()
+            weight = weight / weight.sum()
         return weight, false_alarm
 
     def median_m(self, joint: Array) -> float:
@@ -194,11 +178,10 @@ class RuptureModel:
             joint: Probabilities by boundaries passed and offset.
             depth_m: Of the tip, which has been deeper.
         """
-        passed = np.arange(len(joint))[:, None]
         above = np.searchsorted(self._bound_m, depth_m - self.offset_m, "right")
-        counted = np.minimum(passed, above).ravel()
-        counts = np.bincount(counted, joint.ravel(), len(joint))
-        return counts.astype(float, copy=False)
+        counted = np.minimum(np.arange(len(joint))[:, None], above)
+        counts = np.bincount(counted.ravel(), joint.ravel(), len(joint))
+        return np.asarray(counts, dtype=np.float64)
 
 
 def _chances(names: Sequence[str]) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ import locale
 import re
 import zlib
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -35,12 +36,10 @@ def read_volume(path: Path | str) -> Volume:
     """
     scan = read_image(Path(path))
     values = scan.values
-    if values.ndim != 3:
-        raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    if not np.isfinite([values.min(), values.max()]).all():
+    if values.ndim != 3 or not np.isfinite(values).all():
         raise VolumeError(
-            f"{path} has voxels that are no finite numbers (NaN or infinite): expected "
-            "Hounsfield units, -1000 (air) where nothing was measured"
+            f"{path} has voxels of several numbers, or of such that are not finite: "
+            "expected Hounsfield units, -1000 (air) where nothing was measured"
         )
     # A file that states a slope is read as floating point numbers, four times as large.
     limits = np.iinfo(np.int16)
@@ -67,15 +66,13 @@ def read_image(path: Path) -> Volume:
             "DICOM series with one slice per file"
         )
     diagonal_m = float(np.linalg.norm(np.ptp(image.grid.corners_m(), axis=0)))
-    if not min_diagonal_m < diagonal_m < max_diagonal_m:
-        raise VolumeError(f"{path} measures {diagonal_m:.3g} m: expected millimetres")
+    is_volume = min(image.grid.shape) >= 2 and image.values.dtype.kind in "iuf"
+    if not (is_volume and min_diagonal_m < diagonal_m < max_diagonal_m):
+        raise VolumeError(
+            f"{path} has {image.grid.shape} voxels of {image.values.dtype} over "
+            f"{diagonal_m:.3g} m: expected numbers in three dimensions, in millimetres"
+        )
     return image
-
-
-def _require_volume(shape: Sequence[int]) -> None:
-    """Refuse what is no volume of one number per voxel."""
-    if len(shape) < 3 or min(shape[:3]) < 2 or any(size != 1 for size in shape[3:]):
-        raise VolumeError(f"{tuple(shape)} voxels: expected three dimensions")
 
 
 def _read_nifti(path: Path) -> Volume:
@@ -87,56 +84,54 @@ def _read_nifti(path: Path) -> Volume:
     damage = (OSError, ValueError, EOFError, MemoryError, zlib.error)
     try:
         kind: Any = type(nibabel.load(path))
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            # As it stands in the file: nibabel mends what is not plausible.
-            header = kind.header_class.from_fileobj(file, check=False)
-            file.seek(0)
-            image = kind.from_stream(file)
-            _require_volume(image.shape)
-            if image.get_data_dtype().names:
-                raise ValueError("it holds colours: expected one number per voxel")
-            values = np.asanyarray(image.dataobj).reshape(image.shape[:3])
-            file.read()  # up to the check sum
-        grid = _nifti_grid(header, image.shape[:3])
+        content = path.read_bytes()
+        if path.suffix == ".gz":
+            content = gzip.decompress(content)  # which verifies its check sum
+        # As it stands in the file: nibabel mends what is not plausible.
+        header = kind.header_class.from_fileobj(BytesIO(content), check=False)
+        values = np.asanyarray(kind.from_bytes(content).dataobj)
+        shape = values.shape[:3]  # axes behind the third may have one voxel
+        if len(shape) < 3 or values.size != np.prod(shape):
+            raise ValueError(f"{values.shape} voxels: expected three dimensions")
+        grid = _nifti_grid(header, shape)
     except (*damage, ImageFileError, HeaderDataError) as error:
         raise VolumeError(f"cannot read {path}: {error}") from error
-    return Volume(values, grid)
+    return Volume(values.reshape(shape), grid)
 
 
 def _nifti_grid(header: Any, shape: tuple[int, ...]) -> Grid:
     """Return where the voxels of a NIfTI file lie.
 
     Raises:
-        VolumeError: The header does not say it in millimetres, or says two things.
+        ValueError: The header does not say it in millimetres, or says two things.
     """
-    max_shear = 0.01  # cosine of two axes up to which they count as orthogonal
+    max_shear = 0.01  # difference of stretches up to which axes count as orthogonal
     spacing_tolerance = 0.01  # relative difference of two spacings that mean the same
     # The quaternion of the qform knows no shear, so it comes first.
     stated = (header.get_qform(coded=True)[0], header.get_sform(coded=True)[0])
     forms_mm = np.array([form for form in stated if form is not None])
-    unit = header.get_xyzt_units()[0]
-    if not len(forms_mm) or unit not in ("unknown", "mm"):
-        raise VolumeError(
-            f"its unit is {unit}, qform_code {header['qform_code']} and sform_code "
-            f"{header['sform_code']}: expected mm, and one that says how it lies"
-        )
     stated_mm = np.array(header.get_zooms()[:3], float)
-    lengths_mm = np.linalg.norm(forms_mm[:, :3, :3], axis=1)
-    is_one = np.allclose(lengths_mm, stated_mm, rtol=spacing_tolerance, atol=0.0)
-    if not is_one or not stated_mm.min() > 0.0:
-        raise VolumeError(
-            f"its header states a spacing of {stated_mm.tolist()} mm (pixdim), and its "
-            f"matrices {lengths_mm.round(4).tolist()}: expected the same"
+    unit = header.get_xyzt_units()[0]
+    is_placed = len(forms_mm) > 0 and stated_mm.min() > 0.0
+    if not is_placed or unit not in ("unknown", "mm"):
+        raise ValueError(
+            f"its unit is {unit}, its spacing {stated_mm.tolist()}, qform_code "
+            f"{header['qform_code']}, sform_code {header['sform_code']}: expected mm, "
+            "and one that says how it lies"
         )
+    lengths_mm = np.linalg.norm(forms_mm[:, :3, :3], axis=1)
     corners_mm = [Grid(shape, one[:3, 3], one[:3, :3]).corners_m() for one in forms_mm]
     apart_mm = np.linalg.norm(corners_mm[0] - corners_mm[-1], axis=1).max()
-    # Programs take one or the other.
-    if not apart_mm <= 0.5 * lengths_mm.min():
-        raise VolumeError(f"its qform and sform disagree by {apart_mm:.3g} mm")
-    directions = forms_mm[0, :3, :3] / lengths_mm[0]
-    if not np.abs(directions.T @ directions - np.eye(3)).max() <= max_shear:
-        raise VolumeError("its sform is sheared: expected orthogonal axes")
-    left, _, right = np.linalg.svd(directions)
+    left, stretches, right = np.linalg.svd(forms_mm[0, :3, :3] / lengths_mm[0])
+    is_spaced = np.allclose(lengths_mm, stated_mm, rtol=spacing_tolerance, atol=0.0)
+    # Programs take the qform or the sform.
+    is_one = is_spaced and apart_mm <= 0.5 * lengths_mm.min()
+    if not is_one or np.abs(stretches**2 - 1.0).max() > max_shear:
+        raise ValueError(
+            f"its header contradicts itself: a spacing of {stated_mm.tolist()} mm "
+            f"(pixdim) and {lengths_mm.round(4).tolist()} (matrices), qform and sform "
+            f"{apart_mm:.3g} mm apart, axes stretched by {stretches.round(3).tolist()}"
+        )
     axes_mm = RAS_TO_LPS[:, None] * (left @ right) * lengths_mm[0]
     origin_mm = RAS_TO_LPS * forms_mm[0, :3, 3]
     return Grid(shape, M_PER_MM * origin_mm, M_PER_MM * axes_mm)
@@ -149,26 +144,19 @@ def read_nifti_names(path: Path) -> dict[int, str]:
     ``<Label Key="5" ...><![CDATA[liver]]></Label>``.
 
     Raises:
-        VolumeError: The table is damaged, or defines entities.
+        VolumeError: The table is damaged.
     """
     import nibabel
 
-    names: dict[int, str] = {}
     image: Any = nibabel.load(path)
-    for extension in image.header.extensions:
-        content = extension.get_content()
-        if not isinstance(content, bytes) or b"<Label" not in content:
-            continue
-        try:
-            # Decoded before it is looked at, and parsed as text: whatever encoding the
-            # XML declares, the parser sees what is checked here.
-            text = content.rstrip(b"\0").decode("utf-8-sig").strip()
-            if "<!DOCTYPE" in text or "<!ENTITY" in text:
-                raise ValueError("it defines entities")
-            for label in ElementTree.fromstring(text).iter("Label"):
-                names[int(label.attrib["Key"])] = (label.text or "").strip()
-        except (ValueError, KeyError, ElementTree.ParseError) as error:
-            raise VolumeError(f"its table of labels is damaged: {error}") from error
+    contents = [extension.get_content() for extension in image.header.extensions]
+    tables = [one for one in contents if isinstance(one, bytes) and b"<Label" in one]
+    try:
+        trees = [ElementTree.fromstring(table.strip(b"\0 \r\n")) for table in tables]
+        labels = [label for tree in trees for label in tree.iter("Label")]
+        names = {int(one.attrib["Key"]): (one.text or "").strip() for one in labels}
+    except (ValueError, KeyError, ElementTree.ParseError) as error:
+        raise VolumeError(f"its table of labels is damaged: {error}") from error
     return {value: name for value, name in names.items() if name}
 
 
@@ -179,45 +167,39 @@ def _read_with_itk(path: Path) -> Volume:
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused
     language = locale.setlocale(locale.LC_CTYPE)
     try:
-        image = _read_series(path) if path.is_dir() else _read_nrrd(path)
+        files = _series_files(path) if path.is_dir() else _placed_nrrd(path)
+        image = SimpleITK.ReadImage(files)
     except (RuntimeError, OSError) as error:
         reason = str(error).strip().splitlines()[-1]
-        if not path.exists():
-            reason = "no such file"
         raise VolumeError(f"cannot read {path}: {reason}") from error
     finally:  # the DICOM library sets C, and Python's text files would be ASCII
         locale.setlocale(locale.LC_CTYPE, language)
-    _require_volume(image.GetSize())
     axes_mm = np.array(image.GetDirection()).reshape(3, 3) * image.GetSpacing()
     origin_m = M_PER_MM * np.array(image.GetOrigin())
     grid = Grid(image.GetSize(), origin_m, M_PER_MM * axes_mm)
     return Volume(SimpleITK.GetArrayFromImage(image).T, grid)
 
 
-def _read_nrrd(path: Path) -> Any:
-    """Return the image in an NRRD file that says in millimetres how it lies."""
-    spaces = ("left-posterior-superior", "right-anterior-superior", "lps", "ras")
-    spaces += ("left-anterior-superior", "las")
-    import SimpleITK
-
+def _placed_nrrd(path: Path) -> str:
+    """Return the name of an NRRD file that says in millimetres how it lies."""
+    sides = ("left-posterior", "right-anterior", "left-anterior")
+    spaces = ("lps", "ras", "las", *(f"{side}-superior" for side in sides))
     header = re.split(rb"\r?\n\r?\n", path.read_bytes(), maxsplit=1)[0]
-    text = header.decode("latin-1").lower()
-    fields = dict(re.findall(r"(?m)^([^:\n]+): (.*?)\r?$", text))
-    image = SimpleITK.ReadImage(str(path))
-    space = fields.get("space", "none")
+    pattern = r"(?m)^([^:\n]+): (.*?)\r?$"
+    fields = dict(re.findall(pattern, header.decode("latin-1").lower()))
     units = {*re.findall(r'[^"\s]+', fields.get("space units", "mm"))}
-    is_placed = space in spaces and "space directions" in fields
+    is_placed = fields.get("space") in spaces and "space directions" in fields
     if not is_placed or units - {"mm", "millimeter", "millimetre"}:
         raise VolumeError(
-            f"{path} has the space {space!r}, its `space directions` are "
+            f"{path} has the space {fields.get('space')!r}, its `space directions` are "
             f"{fields.get('space directions', 'missing')}, its units "
             f"{', '.join(units)}: expected left-posterior-superior, RAS or LAS, mm"
         )
-    return image
+    return str(path)
 
 
-def _read_series(folder: Path) -> Any:
-    """Return the image of the one DICOM series in a folder, after a look at its slices.
+def _series_files(folder: Path) -> Sequence[str]:
+    """Return the files of the one DICOM series in a folder, after a look at its slices.
 
     CDs lay a series in DICOM/PA0/ST0/SE1 or the like.
     """
@@ -234,60 +216,55 @@ def _read_series(folder: Path) -> Any:
         raise VolumeError(
             f"{folder} holds {len(series)} DICOM series: expected one{''.join(places)}"
         )
-    slices = [
-        pydicom.dcmread(name, stop_before_pixels=True, force=True) for name in series[0]
-    ]
-    _require_one_ct(folder, slices)
-    return SimpleITK.ReadImage(series[0])
+    _require_one_ct(
+        folder,
+        [
+            pydicom.dcmread(name, stop_before_pixels=True, force=True)
+            for name in series[0]
+        ],
+    )
+    return series[0]
 
 
 def _require_one_ct(folder: Path, slices: Sequence[Any]) -> None:
     """Refuse slices that are not those of one whole CT."""
+    tags = {"ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"}
     max_shear_pixels = 0.5  # over the whole stack, slices may be shifted by so much
     rounding_mm = 0.06  # scanners round positions to a tenth of a millimetre
     for one in slices:
-        tags = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
-        missing = [tag for tag in tags if tag not in one]
         kind = one.get("Modality", "CT")
         frames = one.get("NumberOfFrames") or 1
-        if missing or kind == "MR" or frames != 1:
+        if kind == "MR" or frames != 1 or not tags <= {*one.dir()}:
             raise VolumeError(
-                f"{one.filename} is {kind} with {frames} frames and without "
-                f"{', '.join(missing) or 'nothing'}: expected one slice of a CT per "
-                "file; dcm2niix converts a multi-frame one"
+                f"{one.filename} is {kind} with {frames} frames: expected one slice of "
+                f"a CT per file, with {', '.join(sorted(tags))}; dcm2niix converts a "
+                "multi-frame one"
             )
-    geometry = np.array(
-        [
-            (*one.ImageOrientationPatient, *one.PixelSpacing, one.Rows, one.Columns)
-            for one in slices
-        ],
-        float,
-    )
-    if len(slices) < 2 or np.ptp(geometry, axis=0).any():
+    geometry = [
+        (*one.ImageOrientationPatient, *one.PixelSpacing, one.Rows, one.Columns)
+        for one in slices
+    ]
+    if len(slices) < 2 or np.ptp(np.array(geometry, float), axis=0).any():
         raise VolumeError(
             f"{folder}: one slice, or slices that differ in size or orientation: mixed "
             "series"
         )
-    row_axis, column_axis = geometry[0, :6].reshape(2, 3)
+    row_axis, column_axis = np.array(geometry[0][:6], float).reshape(2, 3)
     frame = np.array([row_axis, column_axis, np.cross(row_axis, column_axis)])
     places_mm = np.array([one.ImagePositionPatient for one in slices], float) @ frame.T
     # Scanners round positions, so they are compared with a line over the whole stack.
     numbers = np.arange(len(slices))
     step_mm, start_mm = np.polyfit(numbers, places_mm, 1)
-    residuals_mm = np.abs(places_mm - start_mm - np.outer(numbers, step_mm)).max(axis=0)
+    off_mm = np.abs(places_mm - start_mm - np.outer(numbers, step_mm)).max()
     between_mm = abs(float(step_mm[2]))
     # A missing slice shifts the ends of a stack by more than 0.15 of a step.
     tolerance_mm = min(max(0.01 * between_mm, rounding_mm), 0.15 * between_mm)
-    if between_mm < 1e-3 or residuals_mm[2] > tolerance_mm:
-        gaps_mm = np.abs(np.diff(places_mm[:, 2]))
+    shift_mm = float(np.abs(step_mm[:2]).max() * numbers[-1])
+    max_shift_mm = max_shear_pixels * min(geometry[0][6:8])
+    if between_mm < 1e-3 or off_mm > tolerance_mm or shift_mm > max_shift_mm:
         raise VolumeError(
-            f"{folder}: slices are {gaps_mm.min():.3f} to {gaps_mm.max():.3f} mm "
-            "apart: one is missing or doubled"
-        )
-    shift_mm = np.abs(step_mm[:2]).max() * (len(slices) - 1)
-    is_straight = residuals_mm[:2].max() <= tolerance_mm
-    if not is_straight or shift_mm > max_shear_pixels * geometry[0, 6:8].min():
-        raise VolumeError(
-            f"{folder}: slices are sheared (gantry tilt): `dcm2niix -z y -f ct -o . "
-            f"{folder}` resamples them, give its ct_Tilt_1.nii.gz"
+            f"{folder}: slices {between_mm:.3f} mm apart lie up to {off_mm:.3f} mm off "
+            f"that, {shift_mm:.2f} mm aside: one is missing or doubled, or they are "
+            f"sheared (gantry tilt): `dcm2niix -z y -f ct -o . {folder}` resamples "
+            "those, give its ct_Tilt_1.nii.gz"
         )

@@ -132,9 +132,8 @@ def closed_surface(
     """
     from skimage.measure import marching_cubes
 
-    padded = np.pad(mask, 1)
-    vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
-    mesh = _smooth_and_simplify(vertices, triangles)
+    cubes = marching_cubes(np.pad(mask, 1), 0.5, gradient_direction="ascent")
+    mesh = _smooth_and_simplify(*cubes[:2])
     _restore_volume(mesh, int(np.count_nonzero(mask)))
     # A mirrored grid turns triangles inside out, and this turns them back.
     origin_m = (corner_m - axes_m.sum(axis=1))[:, None]
@@ -157,8 +156,7 @@ def join_voxels(
 
     blocks: Any = tuple(joined.tolist())
     counts = block_reduce(mask, blocks, np.sum)
-    half = np.ceil(0.5 * joined.prod())
-    return counts >= min(half, counts.max())
+    return counts >= min(np.ceil(0.5 * joined.prod()), counts.max())
 
 
 def _smooth_and_simplify(vertices: Array, triangles: NDArray[np.integer]) -> "Trimesh":

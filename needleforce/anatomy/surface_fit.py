@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import RegistrationError, require_deviation
-from needleforce.anatomy.patient_motion import find_motion
+from needleforce.anatomy.patient_motion import allow_motion
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -89,8 +89,7 @@ def fit_surface(
             "another organ, the start is too far away, or touch_std_m is too small"
         )
     if check:
-        _require_no_sliding(problem, fit)
-        _require_no_better(problem, fit)
+        _require_one_solution(problem, fit)
     return _registration(problem, fit, start.degrees, check=check)
 
 
@@ -104,12 +103,15 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
             f"touches of shape {touches.shape}: expected finite (n, 3), "
             f"{MIN_TOUCHES} or more"
         )
-    max_spread_m = 5.0  # beyond it the unit is not the metre
+    max_length_m = 5.0  # beyond it the unit is not the metre
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
     extent_m = float(surface.mesh.scale)
-    max_length_m = min(max_spread_m, MAX_LENGTH_RATIO * extent_m)
-    is_too_large = spread_m > max_length_m or extent_m > max_spread_m
-    if is_too_large or rms_extents_m(touches)[1] < MIN_WIDTH_m:
+    is_large = spread_m > MAX_LENGTH_RATIO * extent_m
+    if (
+        is_large
+        or max(spread_m, extent_m) > max_length_m
+        or rms_extents_m(touches)[1] < MIN_WIDTH_m
+    ):
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
             f"{extent_m:.3g} m: millimetres for metres, or near a point or a line"
@@ -117,8 +119,8 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     return touches
 
 
-def _require_no_sliding(problem: Problem, fit: Fit) -> None:
-    """Refuse a surface that the solution slides along.
+def _require_one_solution(problem: Problem, fit: Fit) -> None:
+    """Refuse a solution that slides along the surface, or beside which one fits better.
 
     It is pushed along the directions along which distances change least, each a root
     mean square of 1 at the touches.
@@ -128,39 +130,35 @@ def _require_no_sliding(problem: Problem, fit: Fit) -> None:
     same_fit = 1.3  # ratio of distances up to which a pushed solution fits as well
     fine_fit = 0.35  # part of the noise below which distances are not compared
     weak_directions = 3  # a sphere spins about three axes, a plane slides and spins
+    far_m = 4e-3  # another solution is another if it lies so far away at the touches
+    better_fit = 0.9  # ratio of distances below which another solution fits better
     jacobian = problem.jacobian
     motion = np.einsum("nij,nik->jk", jacobian, jacobian) / len(jacobian)
-    information = problem.touch_information(fit) + problem.information
+    information = fit.information + problem.information
     # What is left where the indentation may be any.
     mixed = information[:6, 6]
     pose_information = information[:6, :6] - np.outer(mixed, mixed) / information[6, 6]
     directions = eigh(pose_information, motion)[1][:, :weak_directions].T
-    for direction in directions:
-        pushed = problem.move(fit.pose, np.append(push_m * direction, 0.0))
-        other = problem.fit(pushed, fit.touches.points_m)
-        away_m = rms_length(other.touches.points_m - fit.touches.points_m)
-        max_median_m = same_fit * max(fit.median_m, fine_fit * problem.noise_m)
-        if away_m > max_stay * push_m and other.median_m < max_median_m:
-            raise RegistrationError(
-                f"the surface slides or spins on itself: pushed {1e3 * push_m:g} mm "
-                f"along its weakest direction, the solution stays {1e3 * away_m:.1f} "
-                "mm away and fits as well",
-                "Touch a part with edges or another shape, or register by "
-                "landmarks again.",
-            )
-
-
-def _require_no_better(problem: Problem, fit: Fit) -> None:
-    """Refuse a solution if another one elsewhere fits better."""
-    far_m = 4e-3  # another solution is another if it lies so far away at the touches
-    better_fit = 0.9  # ratio of distances below which another solution fits better
-    for pose in problem.other_starts(fit.pose):
+    same_m = same_fit * max(fit.median_m, fine_fit * problem.noise_m)
+    pushed = [
+        (
+            problem.move(fit.pose, np.append(push_m * way, 0.0)),
+            max_stay * push_m,
+            same_m,
+        )
+        for way in directions
+    ]
+    others = [
+        (pose, far_m, better_fit * fit.median_m)
+        for pose in problem.other_starts(fit.pose)
+    ]
+    for pose, least_m, max_median_m in [*pushed, *others]:
         other = problem.fit(pose, fit.touches.points_m)
         away_m = rms_length(other.touches.points_m - fit.touches.points_m)
-        if away_m > far_m and other.median_m < better_fit * fit.median_m:
+        if away_m > least_m and other.median_m < max_median_m:
             raise RegistrationError(
-                f"another solution, {1e3 * away_m:.0f} mm away, fits better: the start "
-                "lies outside the basin",
+                f"another solution, {1e3 * away_m:.1f} mm away, fits as well: the "
+                "surface slides or spins on itself, or the start lies too far away",
                 "Touch a part with edges or another shape, or register by "
                 "landmarks again.",
             )
@@ -179,38 +177,23 @@ def _registration(
         RegistrationError: The patient has moved.
     """
     touches = fit.touches
-    touch_information = problem.touch_information(fit)
-    inverse = np.linalg.pinv(touch_information + problem.information, hermitian=True)
+    inverse = np.linalg.pinv(fit.information + problem.information, hermitian=True)
     edges = edge_factors(touches)
     mean_edges = np.average(edges**2, weights=fit.weights)
     iid_m2 = problem.touch_std_m**2 + problem.spread_m2(fit.pose)
     flat_m2 = max((fit.variance_m2 - iid_m2) / mean_edges, SURFACE_STD_m**2)
-    distance_m = cdist(touches.points_m, touches.points_m)
-    correlation = np.exp(-0.5 * (distance_m / SURFACE_REACH_m) ** 2)
-    errors_m2 = flat_m2 * np.outer(edges, edges) * correlation
-    errors_m2 += min(iid_m2, fit.variance_m2) * np.eye(len(distance_m))
+    apart = cdist(touches.points_m, touches.points_m) / SURFACE_REACH_m
+    errors_m2 = flat_m2 * np.outer(edges, edges) * np.exp(-0.5 * apart**2)
+    errors_m2 += min(iid_m2, fit.variance_m2) * np.eye(len(apart))
     gain = touches.rows.T * (fit.weights / fit.variance_m2)
     errors = gain @ errors_m2 @ gain.T + problem.information
     covariance = inverse @ errors @ inverse
     pose = fit.pose
     if check:
-        motion = find_motion(problem, fit)
-        # Right registrations pass it in 99 of 100 (seeds below 1000).
-        if motion.probability > 0.9:
-            raise RegistrationError(
-                "landmarks and touches contradict each other: the patient has probably "
-                f"moved (p = {motion.probability:.2f}); hold him still, and touch "
-                "landmarks and skin again"
-            )
-        pose = problem.move(pose, motion.step)
-        covariance = covariance + motion.covariance
+        pose, covariance = allow_motion(problem, fit, covariance)
     # Degrees of freedom of several sources together (Satterthwaite 1946).
-    shares = np.array(
-        [
-            np.trace(inverse @ touch_information),
-            np.trace(inverse @ problem.information),
-        ]
-    )
+    parts = [fit.information, problem.information]
+    shares = np.array([np.trace(inverse @ part) for part in parts])
     is_counted = fit.weights > 0.0
     own_degrees = max(np.count_nonzero(is_counted) - 7.0, 1.0)
     squares = (shares / shares.sum()) ** 2 / [own_degrees, start_degrees]

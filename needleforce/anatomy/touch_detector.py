@@ -47,7 +47,6 @@ class TouchDetector:
         self._contact_N = contact_N
         self._samples: list[Array] = []  # of this moment: tip, force
         self._time_s = 0.0
-        self._slot_end_s = SLOT_s
         # Ends of moments, mean places of the tip and mean forces, the latest first.
         self._slots: Array = np.zeros((0, 7))
         self._last_m = np.full(3, np.inf)
@@ -63,12 +62,11 @@ class TouchDetector:
         kept_s = 60.0  # a touch needs what was felt before it, up to so long ago
         self._time_s += dt_s
         self._samples.append(np.concatenate([tip_m, force_N]))
-        if self._time_s < self._slot_end_s:
+        if self._time_s < self._slots[:, 0].max(initial=0.0) + SLOT_s:
             return None
         slot = np.append(self._time_s, np.mean(self._samples, axis=0))
         self._slots = np.vstack([slot, self._slots])[: round(kept_s / SLOT_s)]
         self._samples.clear()
-        self._slot_end_s = self._time_s + SLOT_s
         return self._find_touch()
 
     def take_now(self) -> TipTouch | None:
@@ -94,8 +92,7 @@ class TouchDetector:
         first = int(is_away.argmax())
         stays = np.append(is_away[first:], False)
         last = first + min(int(stays.argmin()), round(FREE_s / SLOT_s))
-        free = older[first:last]
-        rise_N = recent[:, 4:].mean(axis=0) - free[:, 4:].mean(axis=0)
+        rise_N = recent[:, 4:].mean(axis=0) - older[first:last, 4:].mean(axis=0)
         force_N = float(np.linalg.norm(rise_N))
         if force_N < self._contact_N:
             return None

@@ -18,7 +18,6 @@ from needleforce.anatomy.registration import (
     Registration,
     displacement_jacobian,
     rms_length,
-    small_turn,
 )
 from needleforce.anatomy.surface import Surface
 
@@ -94,6 +93,12 @@ class Fit(NamedTuple):
     variance_m2: float
     median_m: float
 
+    @property
+    def information(self) -> Array:
+        """What the touches say of the unknowns, (7, 7)."""
+        rows = self.touches.rows
+        return rows.T @ (self.weights[:, None] * rows) / self.variance_m2
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -127,13 +132,13 @@ class Problem:
     def noise_m(self) -> float:
         """Deviation of good touches from the surface that is still usual."""
         coarse_std_m = 0.6e-3  # more than such a surface is off as a whole
-        spread_m = SPREAD_OF_SOFTNESS * self.softness_m
-        return float(np.linalg.norm([self.touch_std_m, coarse_std_m, spread_m]))
+        stds_m = [self.touch_std_m, coarse_std_m, SPREAD_OF_SOFTNESS * self.softness_m]
+        return float(np.linalg.norm(stds_m))
 
     def fit(
         self,
         pose: Pose,
-        known_points_m: Array | None = None,
+        known_points_m: Array | float = np.inf,
         still_m: float = NEARLY_STILL_m,
     ) -> Fit:
         """Return the solution, beginning at a pose.
@@ -153,18 +158,14 @@ class Problem:
         back_m = 0.5e-3  # so near to another solution it is on its way to it
         fit = self._linearise(pose, is_wide=True)
         for number in range(1, max_rounds + 1):
-            points_m = fit.touches.points_m
+            last_m = fit.touches.points_m
             pose = self.move(fit.pose, self._step(fit, number))
             fit = self._linearise(pose, is_wide=number < wide_rounds)
-            motion_m = rms_length(fit.touches.points_m - points_m)
+            motion_m = rms_length(fit.touches.points_m - last_m)
             if number < wide_rounds and motion_m < NEARLY_STILL_m:
                 wide_rounds = number
             is_still = number > wide_rounds + 1 and motion_m < still_m
-            is_known = (
-                known_points_m is not None
-                and rms_length(fit.touches.points_m - known_points_m) < back_m
-            )
-            if is_still or is_known:
+            if is_still or rms_length(fit.touches.points_m - known_points_m) < back_m:
                 break
         return fit
 
@@ -192,18 +193,23 @@ class Problem:
         off_m = flat_m - positions_m
         signed_m = np.vecdot(off_m, normals)
         beside_m2 = np.maximum(np.vecdot(off_m, off_m) - signed_m**2, 0.0)
-        distances_m = signed_m.reshape(points_m.shape[:-1]) + indentation_m
-        lengths_m = np.sqrt(distances_m**2 + beside_m2.reshape(distances_m.shape))
+        shape = points_m.shape[:-1]
+        distances_m = signed_m.reshape(shape) + indentation_m
         if is_fine:
             around_m = 2.0 * SURFACE_REACH_m
             normals = self.surface.mean_normals(positions_m, normals, around_m)
         flatness = np.linalg.norm(normals, axis=1)
         normals = (normals / flatness[:, None]).reshape(points_m.shape)
         directions = (rotation @ normals[..., None])[..., 0]
-        rows = np.ones((*distances_m.shape, 7))
+        rows = np.ones((*shape, 7))
         rows[..., :6] = -np.einsum("...ni,nij->...nj", directions, self.jacobian)
-        flatness = flatness.reshape(distances_m.shape)
-        return Measured(points_m, distances_m, lengths_m, rows, flatness)
+        return Measured(
+            points_m=points_m,
+            distances_m=distances_m,
+            lengths_m=np.sqrt(distances_m**2 + beside_m2.reshape(shape)),
+            rows=rows,
+            flatness=flatness.reshape(shape),
+        )
 
     def _linearise(self, pose: Pose, *, is_wide: bool) -> Fit:
         """Return the touches at a pose, with distances, derivatives and weights.
@@ -213,60 +219,48 @@ class Problem:
             is_wide: Weigh by the touches' own distances, not by noise alone.
         """
         normal_mad = 1.4826  # standard deviation over median absolute deviation
+        stated = 4.0  # distances for which the stated deviations count
         touches = self.measure(*pose, is_fine=not is_wide)
         median_m = float(np.median(touches.lengths_m))
-        scale_m = max(normal_mad * median_m, self.noise_m) if is_wide else self.noise_m
+        scale_m = max(is_wide * normal_mad * median_m, self.noise_m)
         weights = tukey_weights(touches.lengths_m, TUKEY * scale_m)
-        variance_m2 = self._variance_m2(pose, touches, weights)
-        return Fit(pose, touches, weights, variance_m2, median_m)
+        surface_m2 = SURFACE_STD_m**2 * np.average(edge_factors(touches) ** 2)
+        stated_m2 = self.touch_std_m**2 + self.spread_m2(pose) + surface_m2
+        counted = float(np.count_nonzero(weights))
+        degrees = max(counted - 7.0, 0.0)
+        observed_m2 = weights @ touches.distances_m**2 / max(weights.sum(), 1e-300)
+        observed_m2 *= counted / max(degrees, 1.0)
+        variance_m2 = (stated * stated_m2 + degrees * observed_m2) / (stated + degrees)
+        return Fit(pose, touches, weights, float(variance_m2), median_m)
 
     def spread_m2(self, pose: Pose) -> float:
         """Return the variance of how far single touches press the surface in."""
         return (SPREAD_OF_SOFTNESS * pose.indentation_m) ** 2
 
-    def _variance_m2(self, pose: Pose, touches: Measured, weights: Array) -> float:
-        """Return the variance of distances, by themselves and by what is stated."""
-        stated = 4.0  # distances for which the stated deviations count
-        surface_m2 = SURFACE_STD_m**2 * np.average(edge_factors(touches) ** 2)
-        stated_m2 = self.touch_std_m**2 + self.spread_m2(pose) + surface_m2
-        counted = float(np.count_nonzero(weights))
-        degrees = max(counted - 7.0, 0.0)
-        squares_m2 = weights @ touches.distances_m**2
-        observed_m2 = squares_m2 / max(weights.sum(), 1e-300)
-        observed_m2 *= counted / max(degrees, 1.0)
-        return float((stated * stated_m2 + degrees * observed_m2) / (stated + degrees))
-
     def off_known(self, pose: Pose) -> Array:
         """Return how far a pose lies from what is known without the touches, (7,)."""
         known = self.known
-        turn = small_turn(pose.rotation @ known.rotation.T)
+        turn = Rotation.from_matrix(pose.rotation @ known.rotation.T).as_rotvec()
         pivot_in_model_m = (self.pivot_m - known.translation_m) @ known.rotation
         shift_m = pose.rotation @ pivot_in_model_m + pose.translation_m - self.pivot_m
         return np.array([*turn, *shift_m, pose.indentation_m - known.indentation_m])
 
     def _step(self, fit: Fit, number: int) -> Array:
         """Return a step of Gauss and Newton, (7,)."""
-        information = self.touch_information(fit)
         # What nothing holds is held by a little of what the touches do, so that a
         # sphere has a solution too.
         small_hold = 1e-6
-        rotations, shifts = np.split(np.diag(information)[:6], 2)
+        rotations, shifts = np.split(np.diag(fit.information)[:6], 2)
         hold = np.repeat([rotations.sum(), shifts.sum(), 0.0], [3, 3, 1])
-        information = information + self.information + small_hold * np.diag(hold)
-        touches = fit.touches
-        gradient = touches.rows.T @ (fit.weights * touches.distances_m)
-        gradient = gradient / fit.variance_m2
-        gradient = gradient + self.information @ self.off_known(fit.pose)
+        information = fit.information + self.information + small_hold * np.diag(hold)
+        pull = fit.touches.rows.T @ (fit.weights * fit.touches.distances_m)
+        known_pull = self.information @ self.off_known(fit.pose)
+        gradient = pull / fit.variance_m2 + known_pull
         # Later steps are shorter: from facet to facet they would go back and forth.
         full_steps = 8.0
         scale = np.sqrt(np.diag(information))  # radians beside metres
         scaled = np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale)
         return np.asarray(-scaled[0] / scale * min(1.0, full_steps / number))
-
-    def touch_information(self, fit: Fit) -> Array:
-        """Return what the touches say of the unknowns, (7, 7)."""
-        rows = fit.touches.rows
-        return rows.T @ (fit.weights[:, None] * rows) / fit.variance_m2
 
     def move(self, pose: Pose, step: Array) -> Pose:
         """Return a pose turned about the touches' mean, shifted and pressed in."""
@@ -320,8 +314,7 @@ def state_problem(
         landmarks = np.linalg.pinv(start.covariance, hermitian=True)
         information[:6, :6] = to_start.T @ landmarks @ to_start
     # Half of the softness, plus or minus a third: none and all of it are possible.
-    indentation_std_m = max(softness_m / 3.0, 1e-6)
-    information[6, 6] = 1.0 / indentation_std_m**2
+    information[6, 6] = 1.0 / max(softness_m / 3.0, 1e-6) ** 2
     pose = Pose(start.rotation, start.translation_m, 0.5 * softness_m)
     return Problem(
         surface, touches_m, pivot_m, pose, information, touch_std_m, softness_m

@@ -71,11 +71,8 @@ class Grid:
         Args:
             box: A box in the grid; by default the whole grid.
         """
-        whole = [slice(0, size) for size in self.shape]
-        ends: list[tuple[int, int]] = [
-            (side.start, side.stop - 1) for side in box or whole
-        ]
-        return self.points_m(np.array(list(product(*ends)), dtype=float))
+        sides = box or [slice(0, size) for size in self.shape]
+        return self.points_m([*product(*((one.start, one.stop - 1) for one in sides))])
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,7 +154,7 @@ def insert(
         if (item.is_obstacle or item.is_risk) and item.name != torso.target
     ]
     target_m = labels.deepest_point_m(torso.target)
-    path = find_paths(labels, target_m, risks).paths[0]
+    path = find_paths(labels, target_m, risks)[0]
     progress(0.2)
     line = PlannedLine(path.entry_m, path.target_m)
     tissue_shift_m = shift_std_m * float(rng.normal())

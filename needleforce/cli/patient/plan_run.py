@@ -1,6 +1,5 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
-from collections import Counter
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,12 +15,10 @@ from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE, SHOWN_VOXEL_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
-    FoundPaths,
     PathLimits,
     SkinPath,
     find_paths,
-    judge_path,
-    orient_line,
+    judge_line,
 )
 from needleforce.cli.patient.case_files import (
     MODULES,
@@ -99,33 +96,32 @@ def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
     )
     labels = case.labels
     avoid = _names_to_avoid(labels, files.target, wish)
-    target, target_m, entry_m = _find_target(files.target, labels)
-    if entry_m is None:
+    target, points_m = _find_target(files.target, labels)
+    if len(points_m) == 1:
         with progress_bar("searching paths") as progress:
-            found = find_paths(labels, target_m, avoid, limits, progress)
+            paths = find_paths(labels, points_m[0], avoid, limits, progress)
     else:
-        path = judge_path(labels, entry_m, target_m, limits)
+        path = judge_line(labels, points_m, limits)
         _require_clear_line(labels, path, avoid, limits.space)
-        found = FoundPaths((path,), Counter())
-    if wish.choose > len(found.paths):
+        paths = (path,)
+    if wish.choose > len(paths):
         raise CommandError(
-            f"--choose {wish.choose}: only {len(found.paths)} paths were found"
+            f"--choose {wish.choose}: only {len(paths)} paths were found"
         )
-    chosen = found.paths[wish.choose - 1]
+    chosen = paths[wish.choose - 1]
     accepted = [
         item.name
         for item in labels.structures
         if item.is_obstacle and item.name in (target, *wish.passable)
     ]
     require_clear_path(chosen.clearances, limits.space, accepted)
-    rows = pd.DataFrame([_row(n, path) for n, path in enumerate(found.paths, 1)])
+    rows = pd.DataFrame([_row(n, path) for n, path in enumerate(paths, 1)])
     notes = [
         f"target {target}; at most {M_TO_MM * limits.max_length_m:g} mm long and "
         f"{np.degrees(limits.max_angle_rad):.0f} degrees from the skin's normal; "
         f"{M_TO_MM * limits.space.needed_m:.1f} mm from the needle's centre line stay "
         f"clear of {', '.join(avoid) or 'nothing: no structure is at risk by its name'}"
         "; lengths, thicknesses and clearances in mm",
-        f"left out: {_describe_counts(found.rejected)}",
         f"path {wish.choose} is the plan. {NOT_MEDICAL}",
     ]
     write_out("\n".join([table_text(rows, str.ljust), *notes, ""]))
@@ -143,7 +139,7 @@ def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
                 caption="Paths, the best first; lengths, thicknesses, clearances in mm",
                 head=tuple(rows.columns),
                 rows=tuple(rows.itertuples(index=False, name=None)),
-                note=notes[1],
+                note=notes[0],
             )
             _write_page(case, chosen, target, table, limits.space.needed_m, draft)
     for file in (PLAN, MARKUP, PAGE):
@@ -183,22 +179,21 @@ def _checked_limits(wish: LimitOptions) -> PathLimits:
     )
 
 
-def _find_target(name: str, labels: Labels) -> tuple[str, Array, Array | None]:
-    """Return name and place of the target, and a point outside on the way to it.
+def _find_target(name: str, labels: Labels) -> tuple[str, Array]:
+    """Return the name of the target and its place, (1, 3), or the ends of a line.
 
     Args:
         name: A file with points or a line, or a structure.
         labels: The segmentation.
     """
     if not name.endswith(".json"):
-        return name, labels.deepest_point_m(name), None
+        return name, labels.deepest_point_m(name)[None]
     markup = read_markup(name)
     if not markup.is_line:
-        return markup.names[0], markup.points_m[0], None
+        return markup.names[0], markup.points_m[:1]
     if len(markup.points_m) != 2:
         raise CommandError(f"{name}: a line of {len(markup.points_m)} points")
-    entry_m, target_m = orient_line(labels, markup.points_m)
-    return "end of the line", target_m, entry_m
+    return "end of the line", markup.points_m
 
 
 def _names_to_avoid(labels: Labels, target: str, wish: LimitOptions) -> tuple[str, ...]:
@@ -309,12 +304,6 @@ def _row(number: int, path: SkinPath) -> dict[str, str]:
         "nearest structures": ", ".join(near) or "none within 100 mm",
         "layers": ", ".join(layers),
     }
-
-
-def _describe_counts(rejected: Counter[str]) -> str:
-    """Return in words how many directions were left out, and why."""
-    counts = rejected.most_common()
-    return ", ".join(f"{count} {reason}" for reason, count in counts if count) or "none"
 
 
 def _write_page(

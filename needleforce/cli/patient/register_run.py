@@ -14,7 +14,6 @@ from needleforce.anatomy import (
     PlanError,
     Registration,
     RegistrationError,
-    SkinLandmarks,
     Surface,
     fit_landmarks,
     fit_surface,
@@ -104,8 +103,8 @@ def register_plan(place: Path, options: RegisterOptions, output: Path) -> int:
         names = [one.name for one in residuals]
         touched_m = rough.to_model(touches_m)
         entry_m = np.array(fields["entry_m"])
-        shown = SkinLandmarks(model_m, skin, names, touched_m, entry_m)
-        warn([*require_lps(shown), *_doubts(residuals)])
+        shown = require_lps(model_m, skin, names, touches_m=touched_m, entry_m=entry_m)
+        warn([*shown, *_doubts(residuals)])
         fit = rough
         if not options.landmarks_only:
             with progress_bar("fitting the touches to the skin"):

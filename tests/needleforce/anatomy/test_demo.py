@@ -18,21 +18,18 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
 
     said = capsys.readouterr().out
-
-    assert "not a medical device" in said
-
     shift = float(re.search(r"true shift along the needle +([-+]\d+\.\d) mm", said)[1])
     off = re.search(r"plan off by +(\d+\.\d) -> (\d+\.\d) mm after (\d) rup", said)
-    by_plan = float(off[1])
-    corrected = float(off[2])
 
-    assert re.search(r"^CT +analytic torso.* voxels of .* mm$", said, re.MULTILINE)
-    assert re.search(r"planned path .*lesion \d+ mm; target in the lesion\n", said)
+    for pattern in (
+        "not a medical device",
+        r"CT +analytic torso.* voxels of .* mm\n",
+        r"planned path .*lesion \d+ mm; target in the lesion\n",
+        r"rupture 1 at .* into \w+ \(\d+ %\)",
+    ):
+        assert re.search(pattern, said)
     assert len(re.findall(r"^rupture \d", said, re.MULTILINE)) == int(off[3])
-    assert by_plan == pytest.approx(abs(shift), abs=1.0)
-    assert corrected < 1.5
-    assert re.search(r"rupture 1 at .* into \w+ \(\d+ %\)", said)
-
+    assert float(off[1]) == pytest.approx(abs(shift), abs=1.0)
+    assert float(off[2]) < 1.5
     pytest.importorskip("viser")
-
     assert (tmp_path / "scene.html").stat().st_size > 100_000

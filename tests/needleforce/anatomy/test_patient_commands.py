@@ -70,46 +70,44 @@ def test_the_registered_plan_lies_where_the_patient_is(folder, fields):
     touched = json.loads((folder / "touches.json").read_bytes())
     places_m = [landmark["place_m"] for landmark in touched["landmarks"]]
     error_m = plan.scene.to_robot(markup.points_m) - places_m
+    # The simulated needle points straight down at the planned entry.
+    axis = plan.scene.to_robot(plan.scene.target_m) - plan.entry_in_base_m
+    line = read_markup(folder / "plan" / "path.mrk.json")
+    page = (folder / "plan" / "index.html").read_text(encoding="utf-8")
 
-    assert plan.warnings == ()
-    assert len(commands()) == 5
-    assert len(touched["touches_m"]) == 40
+    assert (plan.warnings, len(commands()), len(touched["touches_m"])) == ((), 5, 40)
     assert np.linalg.norm(error_m, axis=1).max() < 3e-3
     assert plan.scene.layers[-1].name == "lesion"
     assert set(fields["made_of"]["avoided"]) == set(plan.surroundings.names)
-    # The simulated needle points straight down at the planned entry.
-    axis = plan.scene.to_robot(plan.scene.target_m) - plan.entry_in_base_m
     assert axis[2] / np.linalg.norm(axis) < -0.999
-    # The target is the innermost point of the lesion, a ball.
-    line = read_markup(folder / "plan" / "path.mrk.json")
-    assert line.is_line
     ends_m = [fields["entry_m"], fields["target_m"]]
     np.testing.assert_allclose(line.points_m, ends_m, atol=1e-6)
-    page = (folder / "plan" / "index.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2
-    assert "not a medical device" in page
-    assert "vessel" in page
+    assert re.search(
+        "not a medical device.*vessel|vessel.*not a medical", page, re.DOTALL
+    )
 
 
 def test_what_a_registration_leaves_is_reported(capsys, fields):
-    register = "register --plan plan --landmarks patient/landmarks.mrk.json "
-    options = "--touches touches.json -o again.json"
-    assert main(shlex.split(register + options)) == 0
+    register = (
+        "register --plan plan --landmarks patient/landmarks.mrk.json "
+        "--touches touches.json -o"
+    )
+    assert main(shlex.split(f"{register} again.json")) == 0
     said = capsys.readouterr().out
     again = json.loads(Path("again.json").read_bytes())
+    error_mm = 1e3 * again["registration"]["target_error_rms_m"]
+    region_mm = [float(one) for one in re.findall(r"(\d+\.\d)(?= x | mm \(half)", said)]
 
-    assert len(re.findall(r"landmark .*residual \d\.\d mm", said)) == 6
     for key in ("rotation", "covariance", "offset_std_m", "pivot_m"):
         np.testing.assert_allclose(again[key], fields[key])
-    error_mm = 1e3 * again["registration"]["target_error_rms_m"]
+    assert len(re.findall(r"landmark .*residual \d\.\d mm", said)) == 6
     assert f"{error_mm:.1f} mm rms" in said
-    region_mm = [float(one) for one in re.findall(r"(\d+\.\d)(?= x | mm \(half)", said)]
     assert region_mm == sorted(region_mm, reverse=True)
     assert 1.4 * error_mm < np.linalg.norm(region_mm) < 6.0 * error_mm
     # The layers are as uncertain as registration and organs together.
     assert 3e-3 < again["offset_std_m"] < np.hypot(3e-3, 1e-3 * error_mm)
-    alone = options.replace("again", "alone") + " --landmarks-only --motion 0"
-    assert main(shlex.split(register + alone)) == 0
+    assert main(shlex.split(f"{register} alone.json --landmarks-only --motion 0")) == 0
     few = json.loads(Path("alone.json").read_bytes())
     assert few["offset_std_m"] != pytest.approx(again["offset_std_m"], rel=0.1)
     assert few["registration"]["touch_distances_m"] == []
@@ -125,19 +123,16 @@ def test_the_last_command_names_the_lesion(capsys, monkeypatch):
     assert re.search(r"rupture of layer \d .*by the plan into lesion", said)
 
 
-def moved_files(name, shift_mm=(0.0, 0.0, 0.0), change=None):
+def moved_files(name, shift_mm=(0.0, 0.0, 0.0), change=lambda voxels, file: voxels):
     """Copy CT and labels to another place, or change their voxels."""
     folder = Path(name)
     folder.mkdir(exist_ok=True)
     for file in ("ct.nii.gz", "labels.nii.gz"):
         image = SimpleITK.ReadImage(f"patient/{file}")
-        voxels = SimpleITK.GetArrayFromImage(image).T
-        if change is not None:
-            voxels = change(voxels.copy(), file)
+        voxels = change(SimpleITK.GetArrayFromImage(image).T.copy(), file)
         origin_mm = np.add(image.GetOrigin(), shift_mm).tolist()
         made.write_image(folder / file, voxels, image.GetSpacing(), origin_mm)
-    names = Path("patient/labels.json").read_bytes()
-    (folder / "labels.json").write_bytes(names)
+    (folder / "labels.json").write_bytes(Path("patient/labels.json").read_bytes())
     return {"ct": f"../{name}/ct.nii.gz", "labels": f"../{name}/labels.nii.gz"}
 
 
@@ -203,22 +198,24 @@ def test_a_plan_that_does_not_fit_is_refused(fields, change, word):
         read(change(dict(fields)))
 
 
-def test_a_path_past_a_rib_is_refused_however_the_rib_is_called():
+@pytest.mark.parametrize(
+    ("name", "is_refused"), [("RightRib9", True), ("liver", False)]
+)
+def test_a_path_past_a_rib_is_refused_however_the_rib_is_called(
+    tmp_path, name, is_refused
+):
     values = np.zeros((30, 40, 30), np.uint8)
     values[10:14, 14:, :] = 1
     values[20:, :13, :] = 2
-    folder = Path("rib")
-    folder.mkdir()
-    made.write_image(folder / "labels.nii.gz", values)
+    made.write_image(tmp_path / "labels.nii.gz", values)
     plan = {"entry_m": [0.0, 0.01, 0.015], "target_m": [0.028, 0.01, 0.015]}
-    (folder / "plan.json").write_text(json.dumps(plan))
-    for name, refused in (("RightRib9", True), ("liver", False)):
-        (folder / "labels.json").write_text(json.dumps({"1": name, "2": "muscle"}))
-        if refused:
-            with pytest.raises(PlanFileError, match=name):
-                read_plan(folder)
-        else:
-            assert read_plan(folder).warnings
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "labels.json").write_text(json.dumps({"1": name, "2": "muscle"}))
+    if is_refused:
+        with pytest.raises(PlanFileError, match=name):
+            read_plan(tmp_path)
+    else:
+        assert read_plan(tmp_path).warnings
 
 
 REGISTER = "register --plan plan/plan.json --landmarks {} --touches {}"
@@ -323,7 +320,7 @@ PLAN = "plan --ct patient/ct.nii.gz --labels {} --target {}"
         ("--choose 99", "99"),
         ("--passable rib_right", "rib_right"),
         ("--passable spleen", "spleen"),
-        ("--max-length 20", "longer"),
+        ("--max-length 20", "20 mm"),
         ("--structures label_1=boen", "boen"),
         ("--structures label_1=", "NAME=KIND"),
         ("--structures label_1=rib,label_1=liver", "twice"),
@@ -342,15 +339,17 @@ def test_labels_without_names_are_listed_and_mapped(capsys, fields):
     labels.parent.mkdir()
     labels.write_bytes(Path("patient/labels.nii.gz").read_bytes())
     line = PLAN.format(labels, "lesion")
+    some = "label_1=vertebra,label_2=rib,3=stomach,4=liver"
 
     assert "label_6" in run(capsys, line)
-    some = "label_1=vertebra,label_2=rib,3=stomach,4=liver"
     assert "label_5" in run(capsys, f"{line} --structures {some},6=lesion")
     names = f"--structures {some},5=vessel,6=lesion"
     assert main(shlex.split(f"{line} {names} -o mapped")) == 0
     plan = json.loads(Path("mapped/plan.json").read_bytes())
-    assert plan["structures"]["label_2"] == "rib"
-    assert plan["entry_m"] == fields["entry_m"]
+    assert (plan["structures"]["label_2"], plan["entry_m"]) == (
+        "rib",
+        fields["entry_m"],
+    )
     keys = ("rotation", "translation_m", "covariance", "pivot_m", "registration")
     registered = plan | {key: fields[key] for key in keys}
     Path("mapped/plan.json").write_text(json.dumps(registered), encoding="utf-8")
@@ -388,5 +387,4 @@ def test_keys_record_undo_and_end(capsys, monkeypatch):
     captured = capsys.readouterr()
     assert "undone" in captured.out + captured.err
     for options in ("--count -1", "--contact 0"):
-        line = f"touch sim:plan/plan.json {options}"
-        assert options in run(capsys, line)
+        assert options in run(capsys, f"touch sim:plan/plan.json {options}")

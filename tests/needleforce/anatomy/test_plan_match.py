@@ -1,6 +1,7 @@
 """The plan and the ruptures correct each other."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -28,26 +29,29 @@ def test_ruptures_move_the_plan_and_name_the_layer():
     start = match.state(0.005)
     first = match.state(0.024, [0.024])
     second = match.state(0.039, [0.024, 0.039])
+    last = match.state(0.064, [0.024, 0.039, 0.064])
 
-    assert (above.layer, above.name, above.next_name) == (-1, "outside", "fat")
-    assert (start.name, start.next_name, start.matched_name) == ("fat", "muscle", "")
+    names = [(one.name, one.next_name) for one in (above, start, first, second, last)]
+    tissues = ["outside", *NAMES[:4], ""]
+    assert names == [*pairwise(tissues)]
+    assert (above.layer, start.matched_name) == (-1, "")
     assert start.offset_std_m == pytest.approx(3e-3, rel=0.5)
-    assert (first.name, first.next_name) == ("muscle", "gland")
     assert 1e-3 < first.offset_m < 4e-3  # or a membrane ruptured late
-    assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+    assert (second.offset_m, match.state(0.0).offset_m) == pytest.approx(
+        (4e-3, 0.0), abs=0.5e-3
+    )
     assert second.offset_std_m < 1.2e-3
     assert second.next_m == pytest.approx(0.064, abs=1e-3)
     assert second.next_std_m == pytest.approx(np.hypot(second.offset_std_m, 0.5e-3))
     assert (second.matched, second.matched_name) == (2, "gland")
     assert min(second.probability, second.matched_probability) > 0.8
-    last = match.state(0.064, [0.024, 0.039, 0.064])
-    assert (last.name, last.next_name, np.isnan(last.next_m)) == ("lesion", "", True)
-    assert match.state(0.0).offset_m == pytest.approx(0.0, abs=2e-4)
+    assert np.isnan(last.next_m)
 
     moved = match.state(0.139, [0.124, 0.139], contact_m=0.1, entry_depth_m=0.1)
     same = match.state(0.039, [0.024, 0.039], contact_m=0.0)
-    assert moved.next_m == pytest.approx(same.next_m + 0.1)
-    assert moved.offset_m == pytest.approx(same.offset_m)
+    assert (moved.next_m, moved.offset_m) == pytest.approx(
+        (same.next_m + 0.1, same.offset_m)
+    )
 
 
 @pytest.mark.parametrize(("rupture_m", "name"), [(0.028, "muscle"), (0.03, "gland")])
@@ -66,10 +70,10 @@ def test_where_the_surface_was_met_counts_for_half():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
     # At a rupture 4 mm late a membrane ruptured late, or all lies deeper: so does the
     # surface.
-    deeper, late = (
-        match.state(0.024, [0.024], contact_m=contact_m) for contact_m in (4e-3, 0.0)
+    deeper, unknown, late = (
+        match.state(0.024, [0.024], contact_m=contact_m)
+        for contact_m in (4e-3, None, 0.0)
     )
-    unknown = match.state(0.024, [0.024])
 
     assert late.offset_m < unknown.offset_m < deeper.offset_m
     assert deeper.offset_m == pytest.approx(4e-3, abs=0.2e-3)
@@ -79,8 +83,10 @@ def test_where_the_surface_was_met_counts_for_half():
     assert beneath.offset_m == pytest.approx(4e-3, abs=0.5e-3)
     # The skin ruptures behind where it was met.
     shallow = PlanMatch(plan(8, 35), 5e-3)
-    assert shallow.state(0.0085, [0.0085]).matched == 1
-    assert shallow.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
+    matched = [
+        shallow.state(8.5e-3, [8.5e-3], contact_m=c).matched for c in (None, 4e-3)
+    ]
+    assert matched == [1, 0]
 
 
 def test_the_surface_lies_off_with_the_plan_or_alone():
@@ -90,15 +96,11 @@ def test_the_surface_lies_off_with_the_plan_or_alone():
     contact_std_m = np.hypot(0.5e-3, 0.15e-3)
     layers = plan(20, 35)
     layers[0] = replace(layers[0], entry_std_m=0.5e-3)
+    student = stats.t(3, scale=std_m).pdf(grid_m)
     for contact_m in (0.0, 2e-3, 6e-3):
-
-        def student(x_m, scale_m):
-            return stats.t.pdf(x_m / scale_m, 3) / scale_m
-
         off = stats.norm.pdf(contact_m - grid_m, scale=contact_std_m)
-        alone = student(contact_m, np.hypot(contact_std_m, std_m))
-        weight = student(grid_m, std_m) * (0.5 * off + 0.5 * alone)
-        weight /= weight.sum()
+        alone = stats.t(3, scale=np.hypot(contact_std_m, std_m)).pdf(contact_m)
+        weight = student * (off + alone) / (student @ (off + alone))
         median_m = np.interp(0.5, np.cumsum(weight) - 0.5 * weight, grid_m)
         spread_m = np.sqrt(weight @ (grid_m - median_m) ** 2)
         state = PlanMatch(layers, std_m).state(contact_m, contact_m=contact_m)
@@ -124,9 +126,7 @@ def test_air_before_the_skin_is_no_layer(depth_m, ruptures_m):
     )
 
     assert (state.layer, state.name) == (bare.layer + 1, bare.name)
-    assert state.next_name == bare.next_name
-    assert state.next_m == pytest.approx(bare.next_m)
-    assert state.offset_m == pytest.approx(bare.offset_m)
+    assert (state.next_m, state.offset_m) == pytest.approx((bare.next_m, bare.offset_m))
     assert state.matched == bare.matched + (bare.matched >= 0)
     # In front of an organ it is tissue without a label.
     tissue = PlanMatch([air, *(replace(layer, name="liver") for layer in moved)], 3e-3)
@@ -157,19 +157,20 @@ def test_a_boundary_passed_by_less_than_an_alarm_takes_is_not_yet_missed():
     assert at.probability > 0.7
 
 
-def test_a_capsule_is_expected_to_rupture_late_once():
-    def offset_m(*names):
-        return PlanMatch(plan(20, 35, 60, names=names), 3e-3).state(0.0385, [0.0385])
+@pytest.mark.parametrize(
+    ("names", "offset_mm"),
+    [
+        (("fat", "muscle", "gland", "lesion"), 3.0),
+        (("liver", "muscle", "liver", "lesion"), 3.0),
+        *((("fat", "muscle", name, "lesion"), -1.0)
+          for name in ("liver", "Left Kidney", "spleen")),
+    ],
+)  # fmt: skip
+def test_a_capsule_is_expected_to_rupture_late_once(names, offset_mm):
+    state = PlanMatch(plan(20, 35, 60, names=names), 3e-3).state(0.0385, [0.0385])
 
-    gland = offset_m("fat", "muscle", "gland", "lesion")
-    inside = offset_m("liver", "muscle", "liver", "lesion")
-    assert gland.matched == inside.matched == 2
-    assert gland.offset_m == pytest.approx(3e-3, abs=1e-3)
-    assert inside.offset_m == pytest.approx(3e-3, abs=1e-3)
-    for name in ("liver", "Left Kidney", "spleen"):
-        capsule = offset_m("fat", "muscle", name, "lesion")
-        assert capsule.matched == 2
-        assert capsule.offset_m == pytest.approx(-1e-3, abs=1e-3)
+    assert state.matched == 2
+    assert 1e3 * state.offset_m == pytest.approx(offset_mm, abs=1.0)
 
 
 def test_a_false_alarm_is_no_boundary():
@@ -201,9 +202,8 @@ def test_equal_plans_have_one_fingerprint():
 
 def test_off_the_plan_no_layer_is_named():
     state = PlanMatch(plan(20, 35), 3e-3).off_plan_state()
-    assert (state.layer, state.name, state.probability) == (-2, "off plan", 0.0)
+    assert state[:5] == (-2, "off plan", 0.0, 0.0, 3e-3)
     assert np.isnan(state.next_m)
-    assert (state.offset_m, state.offset_std_m) == (0.0, 3e-3)
 
 
 @pytest.mark.parametrize(

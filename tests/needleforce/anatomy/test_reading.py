@@ -26,47 +26,41 @@ DATA = os.environ.get("NEEDLEFORCE_DATA", Path(__file__).parents[4] / "shared" /
 CT = Path(DATA) / "torso_ct_totalsegmentator"
 
 
-def ell(signs=(1.0, 1.0, 1.0)):
-    """An image of an L in an oblique, anisotropic grid, and its centroid [m]."""
-    values = np.zeros((10, 12, 14), np.uint8)
-    values[2:4, 3:5, 2:11] = values[2:4, 3:10, 2:4] = values[2:8, 3:5, 2:4] = 1
-    image = SimpleITK.GetImageFromArray(values.T.copy())
-    directions = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix() * signs
-    image.SetSpacing(made.SPACING_mm.tolist())
-    image.SetOrigin(made.ORIGIN_mm.tolist())
-    image.SetDirection(directions.ravel().tolist())
-    centre = np.argwhere(values).mean(axis=0)
-    return image, 1e-3 * (made.ORIGIN_mm + directions @ (made.SPACING_mm * centre))
+TURN = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.seg.nrrd"])
 @pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, 1), (1, 1, -1)])
 def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
-    image, centre_m = ell(signs)
-    if ".seg" in name:
-        for key, text in {"ID": "s", "Name": "part", "LabelValue": "1"}.items():
-            image.SetMetaData(f"Segment0_{key}", text)
+    values = np.zeros((10, 12, 14), np.uint8)
+    values[2:4, 3:5, 2:11] = values[2:4, 3:10, 2:4] = values[2:8, 3:5, 2:4] = 1
+    image = SimpleITK.GetImageFromArray(values.T.copy())
+    image.SetSpacing(made.SPACING_mm.tolist())
+    image.SetOrigin(made.ORIGIN_mm.tolist())
+    image.SetDirection((TURN * signs).ravel().tolist())
+    for key, text in {"ID": "s", "Name": "part", "LabelValue": "1"}.items():
+        image.SetMetaData(f"Segment0_{key}", text)
     SimpleITK.WriteImage(image, str(tmp_path / name))
-    labels = read_labels(tmp_path / name, None if ".seg" in name else {1: "part"})
+    labels = read_labels(tmp_path / name, None if "nrrd" in name else {1: "part"})
+    middle_mm = made.SPACING_mm * np.argwhere(values).mean(axis=0)
+    centre_mm = made.ORIGIN_mm + (TURN * signs) @ middle_mm
 
-    np.testing.assert_allclose(labels.centroid_m("part"), centre_m, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(1e3 * labels.centroid_m("part"), centre_mm, atol=1e-5)
 
 
 def test_an_oblique_series_lies_where_it_was_written(tmp_path):
     """Also in the folders of a CD, and in any order of its files."""
-    turn = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
-    places = [made.ORIGIN_mm + 1.25 * k * turn[:, 2] for k in range(9)]
-    slices = made.ct_slices((6, 5, 9), places, turn)
+    places = [made.ORIGIN_mm + 1.25 * k * TURN[:, 2] for k in range(9)]
+    slices = made.ct_slices((6, 5, 9), places, TURN)
     for k, item in enumerate(slices):
         item.PixelData = np.full((5, 6), 100 * k - 300, np.int16).tobytes()
     made.write_series(tmp_path.joinpath("PA0", "S", "S"), slices[::-1])
     scan = read_volume(tmp_path)
-    middle_m = 1e-3 * (made.ORIGIN_mm + turn @ (made.SPACING_mm * [2, 3, 4]))
+    middle_m = 1e-3 * (made.ORIGIN_mm + TURN @ (made.SPACING_mm * [2, 3, 4]))
     voxel = np.rint(scan.grid.indices(middle_m)).astype(int)
 
-    assert scan.grid.shape == (6, 5, 9)
     np.testing.assert_allclose(scan.grid.points_m(voxel), middle_m, atol=1e-7)
-    assert scan.values[tuple(voxel)] == 100
+    assert (scan.grid.shape, scan.values[tuple(voxel)]) == ((6, 5, 9), 100)
 
 
 @pytest.mark.parametrize(("step_mm", "decimals"), [(0.625, 2), (1.25, 1), (2.517, 1)])
@@ -111,16 +105,16 @@ def test_slices_that_are_not_one_whole_ct_are_refused(tmp_path, places, change, 
 
 
 @pytest.mark.parametrize("way", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_slices_are_shifted_by_half_a_pixel_at_most(tmp_path, way):
-    for shift_mm, why in ((0.39, None), (0.41, "shear")):  # of 0.8 and 0.9 mm
-        places = [(*np.array(way) * shift_mm * k / 39, 2.5 * k) for k in range(40)]
-        made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
-        if why is None:
-            spacing_m = read_volume(tmp_path).grid.spacing_m
-            np.testing.assert_allclose(spacing_m, [8e-4, 9e-4, 2.5e-3], rtol=1e-3)
-        else:
-            with pytest.raises(VolumeError, match=why):
-                read_volume(tmp_path)
+@pytest.mark.parametrize("shift_mm", [0.39, 0.41])
+def test_slices_are_shifted_by_half_a_pixel_at_most(tmp_path, way, shift_mm):
+    places = [(*np.array(way) * shift_mm * k / 39, 2.5 * k) for k in range(40)]
+    made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
+    if shift_mm < 0.4:  # pixels measure 0.8 and 0.9 mm
+        spacing_m = read_volume(tmp_path).grid.spacing_m
+        np.testing.assert_allclose(spacing_m, [8e-4, 9e-4, 2.5e-3], rtol=1e-3)
+    else:
+        with pytest.raises(VolumeError, match="shear"):
+            read_volume(tmp_path)
 
 
 def nifti(path, shape=(46, 45, 44)):
@@ -130,117 +124,95 @@ def nifti(path, shape=(46, 45, 44)):
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
 def test_a_nifti_file_that_ends_early_or_is_damaged_is_refused(tmp_path, name):
-    path = tmp_path / name
-    nifti(path)
-    whole = path.read_bytes()
-
-    assert read_volume(path).values.shape == (46, 45, 44)
-
+    nifti(tmp_path / name)
+    whole = (tmp_path / name).read_bytes()
     damaged = bytearray(whole)
     damaged[-6] ^= 255  # in the checksum
+
     for content in (whole[:-20], whole[:-9], whole[:200], *[damaged] * ("gz" in name)):
-        path.write_bytes(content)
+        (tmp_path / name).write_bytes(content)
         with pytest.raises(VolumeError):
-            read_volume(path)
+            read_volume(tmp_path / name)
 
 
+PIXDIM = 80
 QFORM = 252
 SFORM = 280
 """Places in a NIfTI header; its matrix here is diag(-3, -3, 3) with an origin of 0."""
 
 
 @pytest.mark.parametrize(
-    ("place", "kind", "numbers", "why"),
+    ("place", "kind", "numbers", "is_read"),
     [
-        (80, "3f", (1.0, 1.0, 1.0), "spacing"),
-        (80, "f168x2h", (0.0, 1, 0), None),
-        (80, "f", (np.nan,), None),
-        (SFORM, "f", (1.5,), None),
-        (SFORM, "f", (3.0,), "qform"),
-        (SFORM + 12, "f", (40.0,), "qform"),
-        (SFORM + 12, "f", (1.6,), "qform"),
-        (SFORM + 12, "f", (np.nan,), None),
-        (SFORM + 24, "f", (0.5,), None),
-        (QFORM, "2h24x8f", (0, 1, -3, 0, 0, 0, 0.5, -3, 0, 0), None),
-        (QFORM, "2h", (0, 0), "orm"),
-        (123, "b", (1,), "met"),
+        (PIXDIM, "3f", (1.0, 1.0, 1.0), False),
+        (PIXDIM, "f168x2h", (0.0, 1, 0), False),
+        (PIXDIM, "f", (np.nan,), False),
+        (SFORM, "f", (1.5,), False),
+        (SFORM, "f", (3.0,), False),
+        (SFORM + 12, "f", (40.0,), False),
+        (SFORM + 12, "f", (1.6,), False),
+        (SFORM + 12, "f", (np.nan,), False),
+        (SFORM + 24, "f", (0.5,), False),
+        (QFORM, "2h24x8f", (0, 1, -3, 0, 0, 0, 0.5, -3, 0, 0), False),
+        (QFORM, "2h", (0, 0), False),
+        (123, "b", (1,), False),
+        (40, "8h", (4, 23, 45, 44, 2, 1, 1, 1), False),
+        (40, "8h", (5, 23, 45, 44, 1, 2, 1, 1), False),
+        (40, "8h", (5, 46, 45, 44, 1, 1, 1, 1), True),
+        (QFORM, "2h", (0, 1), True),
+        (QFORM, "2h", (1, 0), True),
+        (SFORM + 12, "f", (1.4,), True),
     ],
 )
-def test_a_nifti_file_that_contradicts_itself_is_refused(
-    tmp_path, place, kind, numbers, why
+def test_a_nifti_file_says_one_place_in_millimetres(
+    tmp_path, place, kind, numbers, is_read
 ):
     nifti(tmp_path / "a.nii")
     made.patch(tmp_path / "a.nii", QFORM, "2h", 1, 2)
     made.patch(tmp_path / "a.nii", place, kind, *numbers)
-
-    with pytest.raises(VolumeError, match=why):
-        read_volume(tmp_path / "a.nii")
-
-
-@pytest.mark.parametrize(
-    ("place", "kind", "numbers"),
-    [(QFORM, "2h", (0, 1)), (QFORM, "2h", (1, 0)), (SFORM + 12, "f", (1.4,))],
-)
-def test_a_nifti_file_needs_one_place(tmp_path, place, kind, numbers):
-    nifti(tmp_path / "a.nii")
-    made.patch(tmp_path / "a.nii", place, kind, *numbers)
-    scan = read_volume(tmp_path / "a.nii")
-
-    np.testing.assert_allclose(scan.grid.spacing_m, 3e-3)
-    np.testing.assert_allclose(
-        np.diag(scan.grid.axes_m), [3e-3, 3e-3, 3e-3], atol=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "why"),
-    [
-        ("space directions", "# ", "directions"),
-        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', "cm"),
-        ("left-posterior-superior", "scanner-xyz", "scanner-xyz"),
-        ("left-posterior-superior", "3D-right-handed", "right-handed"),
-        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', None),
-        ("left-posterior-superior", "RAS", None),
-    ],
-)
-def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, why):
-    path = tmp_path / "a.nrrd"
-    made.write_image(path, np.ones((4, 4, 4), np.uint8), origin_mm=(5.0, 0.0, 0.0))
-    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
-    if why is None:
-        x_m = read_volume(path).grid.origin_m[0]
-        assert x_m == pytest.approx(-5e-3 if new == "RAS" else 5e-3)
+    if is_read:
+        grid = read_volume(tmp_path / "a.nii").grid
+        np.testing.assert_allclose(grid.axes_m, 3e-3 * np.eye(3), atol=1e-12)
+        assert grid.shape == (46, 45, 44)
     else:
-        with pytest.raises(VolumeError, match=why):
-            read_volume(path)
-
-
-@pytest.mark.parametrize("tail", [(1, 1), (2,), (1, 2), (2, 1)])
-def test_a_nifti_file_may_have_trailing_axes_of_one(tmp_path, tail):
-    nifti(tmp_path / "a.nii")
-    sizes = (46 // max(tail), 45, 44, *tail, 1, 1, 1)
-    made.patch(tmp_path / "a.nii", 40, "8h", 3 + len(tail), *sizes[:7])
-    if max(tail) == 1:
-        assert read_volume(tmp_path / "a.nii").values.shape == (46, 45, 44)
-    else:
-        with pytest.raises(VolumeError, match="three"):
+        with pytest.raises(VolumeError, match="nii"):
             read_volume(tmp_path / "a.nii")
 
 
-def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path):
-    for name in ("a.hdr", "a.mha", "b.nrrd", "b.nii", "b.nii.gz"):
-        if name[0] == "a":
-            made.write_image(tmp_path / name, np.ones((9, 9, 9), np.uint8))
-        else:
-            (tmp_path / name).write_text("no volume")
+@pytest.mark.parametrize(
+    ("old", "new", "x_m"),
+    [
+        ("space directions", "# ", None),
+        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', None),
+        ("left-posterior-superior", "scanner-xyz", None),
+        ("left-posterior-superior", "3D-right-handed", None),
+        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', 5e-3),
+        ("left-posterior-superior", "RAS", -5e-3),
+    ],
+)
+def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, x_m):
+    path = tmp_path / "a.nrrd"
+    made.write_image(path, np.ones((4, 4, 4), np.uint8), origin_mm=(5.0, 0.0, 0.0))
+    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
+    if x_m is not None:
+        assert read_volume(path).grid.origin_m[0] == pytest.approx(x_m)
+    else:
+        with pytest.raises(VolumeError, match="space"):
+            read_volume(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a.hdr", "a.mha", "b.nrrd", "b.nii", "b.nii.gz", "none.nrrd", "none.nii", ""],
+)
+def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path, name):
+    if name[:1] == "a":
+        made.write_image(tmp_path / name, np.ones((9, 9, 9), np.uint8))
+    elif name[:1] == "b":
+        (tmp_path / name).write_text("no volume")
+    for read in (read_volume, read_labels):
         with pytest.raises(VolumeError, match=name):
-            read_volume(tmp_path / name)
-    with pytest.raises(VolumeError, match="no such file"):
-        read_volume(tmp_path / "none.nrrd")
-    with pytest.raises(VolumeError, match="0 DICOM"):
-        read_volume(tmp_path)
-    with pytest.raises(VolumeError, match="folder"):
-        read_labels(tmp_path)
+            read(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -271,20 +243,18 @@ def test_files_without_labels_or_a_volume_in_millimetres_are_refused(
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nii.gz"])
-def test_voxels_are_kept_in_as_few_bytes_as_they_need(tmp_path, name):
-    values = np.arange(-1000, 1000, 2).reshape(10, 10, 10)
-    for kept, kind in ((values, np.int16), (values + 0.25, np.float64)):
-        made.write_image(tmp_path / name, kept.astype(np.float64), [2.0] * 3)
-        scan = read_volume(tmp_path / name)
+@pytest.mark.parametrize(("off", "kind"), [(0.0, np.int16), (0.25, np.float64)])
+def test_voxels_are_kept_in_as_few_bytes_as_they_need(tmp_path, name, off, kind):
+    values = np.arange(-1000, 1000, 2).reshape(10, 10, 10) + off
+    made.write_image(tmp_path / name, values, [2.0] * 3)
+    scan = read_volume(tmp_path / name)
 
-        assert scan.values.dtype == kind
-        np.testing.assert_array_equal(scan.values, kept)
-
+    assert scan.values.dtype == kind
+    np.testing.assert_array_equal(scan.values, values)
     # Programs that compute with labels leave this.
-    made.write_image(tmp_path / name, (values > 0) * np.float32(0.9995), [2.0] * 3)
+    made.write_image(tmp_path / name, (values > 1) * np.float32(0.9995), [2.0] * 3)
     labels = read_labels(tmp_path / name)
-    assert labels.volumes[0].dtype == np.uint8
-    assert labels["label_1"].voxels == 499
+    assert (labels.volumes[0].dtype, labels["label_1"].voxels) == (np.uint8, 499)
 
 
 def bodies(*, overlap=True):
@@ -329,8 +299,9 @@ def test_segments_of_slicer_lie_and_are_called_as_there(tmp_path):
 
     require_bodies(labels, ["liver", "mass", "Rippe links", "Läsion"], bodies())
     # Terms say what a needle must avoid.
-    hard = [item.is_obstacle for item in labels.structures]
-    assert hard == [False, False, True, False]
+    assert [item.name for item in labels.structures if item.is_obstacle] == [
+        "Rippe links"
+    ]
     assert labels["Rippe links"].anatomy == "left rib"
     with pytest.raises(VolumeError, match="spleen"):
         labels["spleen"]
@@ -339,12 +310,11 @@ def test_segments_of_slicer_lie_and_are_called_as_there(tmp_path):
 def test_segments_of_one_term_are_told_apart(tmp_path):
     liver, _, rib, other = bodies()
     segments = [{**RIB, "Name": f"Segment_{n}", "LabelValue": n} for n in (1, 2, 3)]
-    made.write_seg_nrrd(
-        tmp_path / "a.seg.nrrd", [liver + 2 * rib + 3 * other], segments
-    )
-    names = [item.name for item in read_labels(tmp_path / "a.seg.nrrd").structures]
+    path = tmp_path / "a.seg.nrrd"
+    made.write_seg_nrrd(path, [liver + 2 * rib + 3 * other], segments)
 
-    assert names == [f"left rib (Segment_{n})" for n in (1, 2, 3)]
+    names = [f"left rib (Segment_{n})" for n in (1, 2, 3)]
+    assert [item.name for item in read_labels(path).structures] == names
 
 
 @pytest.mark.parametrize(
@@ -355,22 +325,17 @@ def test_segments_of_one_term_are_told_apart(tmp_path):
         ({"LabelValue": "one"}, "one"),
         ({"LabelValue": 2}, "liver"),
         ({"LabelValue": 3}, "512"),  # the liver's voxels belong to no segment
+        ({"LabelValue": None}, "LabelValue"),
     ],
 )
 def test_segments_with_a_damaged_header_are_refused(tmp_path, changes, why):
     liver, _, rib, _ = bodies()
-    path = tmp_path / "a.seg.nrrd"
     segments = [{"Name": "lesion", "LabelValue": 2}, {"Name": "liver", "LabelValue": 1}]
-    made.write_seg_nrrd(path, [liver + 2 * rib], segments)
-    # Segments are numbered from 0.
-    path.write_bytes(path.read_bytes().replace(b"Segment0_Lab", b"Segment0_Bal"))
-    with pytest.raises(VolumeError, match="Segment0"):
-        read_labels(path)
-
     segments[1] |= changes
-    made.write_seg_nrrd(path, [liver + 2 * rib], segments)
+    written = [{k: v for k, v in one.items() if v is not None} for one in segments]
+    made.write_seg_nrrd(tmp_path / "a.seg.nrrd", [liver + 2 * rib], written)
     with pytest.raises(VolumeError, match=why):
-        read_labels(path)
+        read_labels(tmp_path / "a.seg.nrrd")
 
 
 TABLE = (
@@ -383,60 +348,55 @@ NAMES = "".join(
 )
 
 
+def names_of(path, *names):
+    return [item.name for item in read_labels(path, *names).structures]
+
+
 def test_labels_of_totalsegmentator_bring_their_names(tmp_path):
     liver, _, rib, _ = bodies()
     path = tmp_path / "a.nii.gz"
     values = 5 * liver + 92 * rib
     made.write_labels_with_table(path, values, TABLE.format(NAMES).encode())
     (tmp_path / "labels.json").write_text('{"5": "spleen"}', encoding="utf-8")
-    labels = read_labels(path)
 
-    assert [item.name for item in labels.structures] == ["liver", "rib_left_1"]
-    assert labels["rib_left_1"].is_obstacle
+    assert names_of(path) == ["liver", "rib_left_1"]
     # Stated names replace those of the file; a file beside it serves where it has none.
-    renamed = read_labels(path, {5: "spleen", 60: "nothing"})
-    assert [item.name for item in renamed.structures] == ["spleen", "rib_left_1"]
+    assert names_of(path, {5: "spleen", 60: "nothing"}) == ["spleen", "rib_left_1"]
     made.write_image(path, values, (1.5, 1.5, 1.5))
-    names = [item.name for item in read_labels(path).structures]
-    assert names == ["spleen", "label_92"]
+    assert names_of(path) == ["spleen", "label_92"]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp037"])
-def test_a_table_of_names_that_is_damaged_or_has_entities_is_not_read(
-    tmp_path, encoding
-):
-    text = '<!DOCTYPE a [<!ENTITY e "liver">]><a><Label Key="5">&e;</Label></a>'
-    head = b'<?xml version="1.0" encoding="cp037"?><!--<Label-->'
-    table = (head if encoding == "cp037" else b"") + text.encode(encoding)
-    path = tmp_path / "a.nii.gz"
-    made.write_labels_with_table(path, 5 * bodies()[0], table)
-    try:
-        names = [item.name for item in read_labels(path).structures]
-    except VolumeError:
-        names = []
-    assert "liver" not in names
-
-    made.write_labels_with_table(
-        path, 5 * bodies()[0], TABLE.encode()[:-20] + b"<Label"
-    )
+@pytest.mark.parametrize(
+    "table",
+    [
+        TABLE[:-20] + "<Label",
+        TABLE.format('<Label Key="five">liver</Label>'),
+        TABLE.format("<Label>liver</Label>"),
+        # It would need gigabytes.
+        "<!DOCTYPE a [<!ENTITY e0 'liver'>"
+        + "".join(f"<!ENTITY e{k + 1} '{f'&e{k};' * 10}'>" for k in range(9))
+        + "]><a><Label Key='5'>&e9;</Label></a>",
+    ],
+)
+def test_a_damaged_table_of_names_is_refused(tmp_path, table):
+    made.write_labels_with_table(tmp_path / "a.nii.gz", bodies()[0], table.encode())
     with pytest.raises(VolumeError, match="table"):
-        read_labels(path)
+        read_labels(tmp_path / "a.nii.gz")
 
 
 def test_structures_are_renamed_by_name_or_value(tmp_path):
-    slicer_5(tmp_path / "a.seg.nrrd")
-    labels = read_labels(tmp_path / "a.seg.nrrd", {"Läsion": "rib", "mass": "rib"})
+    path = tmp_path / "a.seg.nrrd"
+    slicer_5(path)
+    (tmp_path / "names.json").write_text('{"mass": "cyst"}', encoding="utf-8")
 
-    names = [item.name for item in labels.structures]
-    assert names == ["liver", "rib (mass)", "Rippe links", "rib (Läsion)"]
-    assert labels["rib (Läsion)"].is_obstacle
+    names = ["liver", "rib (mass)", "Rippe links", "rib (Läsion)"]
+    assert names_of(path, {"Läsion": "rib", "mass": "rib"}) == names
+    assert read_labels(path, {"Läsion": "rib"})["rib"].is_obstacle
+    assert names_of(path, tmp_path / "names.json")[1] == "cyst"
     # A value does not say which of the overlapping structures is meant.
     for wrong in ({"Leber": "liver"}, {"1": "liver"}, {1: None}, ["liver"]):
         with pytest.raises(VolumeError):
-            read_labels(tmp_path / "a.seg.nrrd", wrong)
-    (tmp_path / "names.json").write_text('{"mass": "cyst"}', encoding="utf-8")
-    labels = read_labels(tmp_path / "a.seg.nrrd", tmp_path / "names.json")
-    assert labels["cyst"].voxels == 27
+            read_labels(path, wrong)
 
 
 SEGMENTS = [
@@ -461,31 +421,32 @@ def test_dicom_segments_lie_and_are_called_as_in_the_file(tmp_path, kind, overla
 def test_dicom_files_without_whole_binary_segments_are_refused(tmp_path):
     path = tmp_path / "seg.dcm"
     made.write_dicom_segmentation(path, bodies()[:3], SEGMENTS, "FRACTIONAL")
-    with pytest.raises(VolumeError, match="fractional"):
-        read_labels(path)
+    fractional = path.read_bytes()
     made.write_dicom_segmentation(path, bodies()[:3], SEGMENTS)
     whole = path.read_bytes()
-    made.write_series(tmp_path / "ct", made.ct_slices((4, 4, 1)))
-    (of_ct,) = (tmp_path / "ct").iterdir()
-    for content in (whole[:600], whole[:-40], of_ct.read_bytes()):
+    made.write_series(tmp_path, made.ct_slices((4, 4, 1)))
+    of_ct = (tmp_path / "2-001.dcm").read_bytes()
+    for content in (whole[:600], whole[:-40], of_ct, fractional):
         path.write_bytes(content)
-        with pytest.raises(VolumeError):
+        with pytest.raises(VolumeError, match="SEG"):
             read_labels(path)
 
 
 @pytest.mark.parametrize(
-    ("shift_mm", "turn_deg", "size", "is_cut", "why"),
+    ("shift_mm", "turn_deg", "size", "is_cut", "is_right"),
     [
-        (0.0, 0.0, 1.0, False, None),
-        (0.0, 0.0, 1.0, True, None),
-        (1.5, 0.0, 1.0, False, "as large"),
-        (200.0, 0.0, 1.0, True, "outside"),
-        (0.0, 3.0, 1.0, False, "as large"),
-        (0.0, 0.0, 0.9, False, "as large"),
-        (0.0, 0.0, 0.5, False, "as large"),
+        (0.0, 0.0, 1.0, False, True),
+        (0.0, 0.0, 1.0, True, True),
+        (1.5, 0.0, 1.0, False, False),
+        (200.0, 0.0, 1.0, True, False),
+        (0.0, 3.0, 1.0, False, False),
+        (0.0, 0.0, 0.9, False, False),
+        (0.0, 0.0, 0.5, False, False),
     ],
 )
-def test_labels_must_lie_in_their_scan(tmp_path, shift_mm, turn_deg, size, is_cut, why):
+def test_labels_must_lie_in_their_scan(
+    tmp_path, shift_mm, turn_deg, size, is_cut, is_right
+):
     values = np.zeros((32, 31, 30), np.uint8)
     values[14:17, 14:17, 14:17] = 1
     scan = Volume(0.0 * values, Grid(values.shape, np.zeros(3), 1e-3 * np.eye(3)))
@@ -495,10 +456,10 @@ def test_labels_must_lie_in_their_scan(tmp_path, shift_mm, turn_deg, size, is_cu
     image.SetDirection(turn.ravel().tolist())
     image.SetSpacing([size] * 3)
     SimpleITK.WriteImage(image, str(tmp_path / "a.nrrd"))
-    if why is None:
+    if is_right:
         assert read_labels(tmp_path / "a.nrrd", scan=scan)["label_1"].voxels == 27
     else:
-        with pytest.raises(VolumeError, match=f"a.nrrd.*{why}"):
+        with pytest.raises(VolumeError, match="nrrd"):
             read_labels(tmp_path / "a.nrrd", scan=scan)
 
 
@@ -565,9 +526,6 @@ def test_points_of_slicer_lie_in_the_stated_frame_and_unit(
         np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
 
 
-TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
 def transform(matrix, shift_mm=(10.0, 20.0, 30.0)):
     affine = SimpleITK.AffineTransform(3)
     affine.SetMatrix(np.asarray(matrix, float).ravel().tolist())
@@ -582,19 +540,15 @@ def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
     centred = transform(TURN)
     centred.SetCenter((1.0, 2.0, 3.0))
     SimpleITK.WriteTransform(centred, str(tmp_path / name))
-    point_mm = np.array([4.0, 5.0, -6.0])
-    motion = read_transform(tmp_path / name, "itk")
-    place_m = motion.rotation @ (1e-3 * point_mm) + motion.translation_m
-    expected_mm = centred.TransformPoint(point_mm.tolist())
-
-    np.testing.assert_allclose(1e3 * place_m, expected_mm, atol=1e-9)
-
-    ras = np.array([-1.0, -1.0, 1.0])
-    shown = read_transform(tmp_path / name, "slicer")
-    place_m = shown.rotation @ (1e-3 * point_mm) + shown.translation_m
-    expected_mm = ras * centred.GetInverse().TransformPoint(point_mm.tolist())
-
-    np.testing.assert_allclose(1e3 * place_m, expected_mm, atol=1e-9)
+    point_mm = [4.0, 5.0, -6.0]
+    shown_mm = np.array(centred.GetInverse().TransformPoint(point_mm))
+    for source, expected_mm in (
+        ("itk", centred.TransformPoint(point_mm)),
+        ("slicer", shown_mm * [-1.0, -1.0, 1.0]),
+    ):
+        motion = read_transform(tmp_path / name, source)
+        place_m = motion.carry(1e-3 * np.array([point_mm]))[0]
+        np.testing.assert_allclose(1e3 * place_m, expected_mm, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -605,7 +559,7 @@ def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
         (transform([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), None),
         (transform(TURN, (2e4, 0.0, 0.0)), "millimetres"),
         (SimpleITK.BSplineTransform(3), "BSpline"),
-        (SimpleITK.Euler2DTransform(), "Euler2D"),
+        (SimpleITK.Euler2DTransform(), "three"),
         (None, "cannot read"),
         ("no transform", "cannot read"),
     ],
