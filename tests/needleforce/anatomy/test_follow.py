@@ -217,7 +217,7 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     said = capsys.readouterr().out
 
     assert re.search(
-        r"rupture of layer 1 at 2\d\.\d mm below first contact \(\d+%\), by the plan "
+        r"rupture of layer 1 at 2\d\.\d mm below first contact \(\d+ %\), by the plan "
         "into behind",
         said,
     )

@@ -71,8 +71,6 @@ OPTIONS = {
     "--lock-others": "--lock-others",
     "--accept-inertia": "--accept-inertia",
     "--gravity 0 0 1": "9.81",
-    "--gravity 0 0 9.81 --mount wall": "say the same",
-    "--mount roof": "roof",
     "--payload missing.toml": "missing.toml",
     "--payload broken.toml": "broken.toml",
     "--payload blank.toml": "blank.toml",
@@ -135,7 +133,7 @@ USAGE = {
     "simulate -o x.csv": "--list",
     "simulate gel-26 -o x.csv": "gel-26",
     "simulate gel-25-constant -o x.xyz": "x.xyz",
-    "simulate gel-25-constant -o x.csv --seed -1": "--seed -1",
+    "simulate gel-25-constant -o x.csv --seed -1": "--seed",
     "simulate gel-25-constant -o x.csv --truth x.csv": "--truth",
     "simulate gel-25-constant -o good.csv": "exists",
     "view good.csv --export x.htm": ".html",
@@ -199,7 +197,7 @@ def test_missing_matplotlib_is_refused_before_the_work(monkeypatch, capsys, argv
         return before(name, *more, **named)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    monkeypatch.setattr("needleforce.cli.logs.replay.has_channels", lambda *_: False)
+    monkeypatch.setattr("needleforce.cli.logs.columns.has_channels", lambda *_: False)
 
     assert "matplotlib" in refusal(argv, capsys)
 
