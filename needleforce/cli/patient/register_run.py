@@ -97,10 +97,10 @@ def register_plan(
         or landmarks_only
     ):
         raise CommandError(
-            "expected --landmarks and --touches; or, without options of landmarks, "
-            "--transform, --transform-from slicer or itk, whose files hold a motion "
-            "and its inverse, and --transform-std, its deviation at the patient along "
-            "each axis in mm; see docs/how-to/segmentations.md"
+            "expected --landmarks and --touches; or, without --landmarks, --negate-xy "
+            "and --landmarks-only, --transform, --transform-from slicer or itk, whose "
+            "files hold a motion and its inverse, and --transform-std, its deviation "
+            "at the patient in mm; see docs/how-to/segmentations.md"
         )
     else:
         motion = anatomy.read_transform(str(transform), transform_from)
