@@ -122,13 +122,14 @@ def plan_paths(
     ]
     require_clear_path(chosen.clearances, space, accepted)
     rows = pd.DataFrame([_row(n, path) for n, path in enumerate(found.paths, 1)])
+    rejected = [f"{n} {reason}" for reason, n in found.rejected.most_common() if n]
     notes = [
         f"target {target}; at most {max_length_mm:g} mm long and {cone_deg:.0f} "
         f"degrees from the skin's normal; {M_TO_MM * space.needed_m:.1f} mm from the "
         "needle's centre line stay clear of "
         f"{', '.join(avoided) or 'nothing: no structure is at risk by its name'}"
         "; lengths, thicknesses and clearances in mm",
-        f"left out: {_describe_counts(found.rejected)}",
+        f"left out: {', '.join(rejected) or 'none'}",
         f"path {choice} is the plan. {case_files.NOT_MEDICAL}",
     ]
     write_out("\n".join([table_text(rows, str.ljust), *notes, ""]))
@@ -273,12 +274,6 @@ def _row(number: int, path: SkinPath) -> dict[str, str]:
         "nearest structures": ", ".join(near) or "none within 100 mm",
         "layers": ", ".join(layers),
     }
-
-
-def _describe_counts(rejected: Counter[str]) -> str:
-    """Return in words how many directions were left out, and why."""
-    counts = rejected.most_common()
-    return ", ".join(f"{count} {reason}" for reason, count in counts if count) or "none"
 
 
 def _write_page(
