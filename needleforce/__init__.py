@@ -12,10 +12,10 @@ Reading order: `session` (the whole chain, tick by tick), `insertion_course` (wh
 insertion begins and ends), `rewinding` (what a push on the arm undoes), `zero_watch`
 (what shows another zero), `session_snapshot`; `plan_follower` (a plan beside it),
 `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
-`session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
-`tare_run` (when it is tared), `recorder` (an arm's signals into a file); then the
-packages `recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy`
-(what it enters), `simulation`.
+`session_replay` (over a recording, or the virtual sensor alone), `tare_run` (when it is
+tared), `recorder` (an arm's signals into a file); then the packages `recordings`,
+`plots`, `cli`, `control` (what moves the needle), `anatomy` (what it enters),
+`simulation`.
 """
 
 from importlib import import_module
@@ -24,32 +24,42 @@ from os.path import dirname, join, realpath
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from identification import Estimate as Estimate
-    from identification import Identifier as Identifier
-    from identification import LayerEstimate as LayerEstimate
-    from identification import MixtureConfig as MixtureConfig
-    from identification import PublishedConfig as PublishedConfig
-    from identification import Rupture as Rupture
-    from identification import replay as replay
-    from needleforce.session import InsertionSession as InsertionSession
-    from needleforce.session import SessionEstimate as SessionEstimate
+    from identification import (
+        Estimate as Estimate,
+        Identifier as Identifier,
+        LayerEstimate as LayerEstimate,
+        MixtureConfig as MixtureConfig,
+        PublishedConfig as PublishedConfig,
+        Rupture as Rupture,
+        replay as replay,
+    )
+    from needleforce.session import (
+        InsertionSession as InsertionSession,
+        SessionEstimate as SessionEstimate,
+    )
     from needleforce.session_replay import replay_session as replay_session
-    from needleforce.session_snapshot import InsertionError as InsertionError
-    from needleforce.session_snapshot import SessionSnapshot as SessionSnapshot
-    from needleforce.session_snapshot import SnapshotFileError as SnapshotFileError
-    from needleforce.session_snapshot import read_snapshot as read_snapshot
-    from needleforce.session_snapshot import write_snapshot as write_snapshot
+    from needleforce.session_snapshot import (
+        InsertionError as InsertionError,
+        SessionSnapshot as SessionSnapshot,
+        SnapshotFileError as SnapshotFileError,
+        read_snapshot as read_snapshot,
+        write_snapshot as write_snapshot,
+    )
     from needleforce.tare_run import AutoTare as AutoTare
-    from residual import SensorConfig as SensorConfig
-    from residual import SensorWarning as SensorWarning
-    from residual import Status as Status
-    from residual import VirtualForceSensor as VirtualForceSensor
-    from residual import WrenchEstimate as WrenchEstimate
-    from urdf import NeedleTool as NeedleTool
-    from urdf import Payload as Payload
-    from urdf import Robot as Robot
-    from urdf import load_lwr as load_lwr
-    from urdf import load_urdf as load_urdf
+    from residual import (
+        SensorConfig as SensorConfig,
+        SensorWarning as SensorWarning,
+        Status as Status,
+        VirtualForceSensor as VirtualForceSensor,
+        WrenchEstimate as WrenchEstimate,
+    )
+    from urdf import (
+        NeedleTool as NeedleTool,
+        Payload as Payload,
+        Robot as Robot,
+        load_lwr as load_lwr,
+        load_urdf as load_urdf,
+    )
 
 for _name in ("foundation", "urdf", "residual", "identification", "groundtruth"):
     # Python takes the first match on its path: a user's script or folder of data with

@@ -413,7 +413,6 @@ class InsertionCourse:
         self.remember_channel()
         if self._is_turned:
             self._count_depth_from(self._line)
-            self.travel = TipTravel()
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -425,7 +424,6 @@ class InsertionCourse:
     def begin_here(self) -> None:
         """Begin an insertion with depth zero here."""
         self._count_depth_from(self._line)
-        self.travel = TipTravel()
         self._begin(self.zero, 0.0)
 
     def begin_tare(self) -> None:
@@ -437,7 +435,6 @@ class InsertionCourse:
     def begin_where_tared(self) -> None:
         """Count depth from here at the end of a tare; no sample was used since."""
         self._count_depth_from(self._line)
-        self.travel = TipTravel()
         self.insertion = InsertionProgress(self.zero)
         self._identifier.date(self.time_s)
         self.plan.begin(self.zero)
@@ -464,9 +461,10 @@ class InsertionCourse:
         self.plan.move_zero(self.zero, moved_m)
 
     def _count_depth_from(self, zero: TravelZero) -> None:
-        """Count depth from a place, along a direction."""
+        """Count depth from a place, along a direction; the tip is taken to be there."""
         self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
         self.zero = zero
+        self.travel = TipTravel()
 
     def _snapshot(self) -> IdentifierSnapshot:
         return self._identifier.identifier.snapshot()

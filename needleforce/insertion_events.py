@@ -1,15 +1,30 @@
 """What happens in an insertion, as events with a sentence and named values."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from identification.estimate import HardContact
-from needleforce.session_event import SessionEvent
+from identification.estimate import HardContact, Rupture
+from needleforce.depth_zero import find_depth_zero
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
 
 M_TO_MM = 1e3
+
+
+class SessionEvent(NamedTuple):
+    """An event of an insertion.
+
+    Attributes:
+        kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact``,
+            ``past_target`` or ``too_near``.
+        text: One sentence for people.
+        values: What is known of it, by name with unit.
+    """
+
+    kind: str
+    text: str
+    values: dict[str, float]
 
 
 def describe_hard_contact(contact: HardContact) -> str:
@@ -20,6 +35,23 @@ def describe_hard_contact(contact: HardContact) -> str:
     )
 
 
+def _describe_rupture(estimate: "SessionEstimate", rupture: Rupture) -> str:
+    """Return where a rupture of this update is, and where it led to by the plan."""
+    zero = find_depth_zero(estimate)
+    text = (
+        f"rupture of layer {rupture.layer} at {zero.shown_mm(rupture.depth_m):.1f} mm "
+        f"{zero.name} ({100.0 * rupture.probability:.0f} %)"
+    )
+    plan = estimate.plan
+    if plan is None:
+        return text
+    if estimate.deviation is not None and estimate.deviation.is_off_plan:
+        return f"{text}, off plan"
+    into = "into " if plan.matched >= 0 else ""
+    probability = f"({100.0 * plan.matched_probability:.0f} %)"
+    return f"{text}, by the plan {into}{plan.matched_name} {probability}"
+
+
 def session_events(estimate: "SessionEstimate") -> Iterator[SessionEvent]:
     """Yield the events of one update."""
     yield from estimate.plan_events
@@ -28,9 +60,7 @@ def session_events(estimate: "SessionEstimate") -> Iterator[SessionEvent]:
     if rupture is not None:
         yield SessionEvent(
             kind="rupture",
-            text=f"rupture of layer {rupture.layer} at "
-            f"{M_TO_MM * rupture.depth_m:.1f} mm "
-            f"({100.0 * rupture.probability:.0f} %)",
+            text=_describe_rupture(estimate, rupture),
             values={
                 "layer": rupture.layer,
                 "depth_m": rupture.depth_m,

@@ -194,23 +194,21 @@ class PlannedPath:
         return math.sqrt(max(float(variances[-1]), 0.0))
 
     @cached_property
-    def _entry_std_m(self) -> float:
-        """Standard deviation of the needle beside the entry."""
-        return math.hypot(self._std_across(self._jacobians[0][:2]), TIP_STD_m)
+    def _fixed_stds(self) -> list[float]:
+        """Standard deviations that no depth changes.
 
-    @cached_property
-    def _angle_std_rad(self) -> float:
-        """Standard deviation of the direction, the larger one."""
+        Of the needle beside the entry [m], of its direction [rad], the larger one of
+        two each, and of the tip against the target along the path [m].
+        """
         # Standard deviation of the needle's direction in the robot's base.
         axis_std_rad = 1e-3
-        return math.hypot(self._std_across(self._jacobians[1][:2]), axis_std_rad)
-
-    @cached_property
-    def _along_std_m(self) -> float:
-        """Standard deviation of the tip against the target along the path."""
-        along = self._jacobians[0][2]
-        variance_m2 = max(float(along @ self.covariance @ along), 0.0)
-        return math.sqrt(variance_m2 + TIP_STD_m**2)
+        at_entry, per_m = self._jacobians
+        variance_m2 = float(at_entry[2] @ self.covariance @ at_entry[2])
+        return [
+            math.hypot(self._std_across(at_entry[:2]), TIP_STD_m),
+            math.hypot(self._std_across(per_m[:2]), axis_std_rad),
+            math.sqrt(max(variance_m2, 0.0) + TIP_STD_m**2),
+        ]
 
     def deviation(self, tip_m: Array, axis: Array) -> PlanDeviation:
         """Return where a needle is against the path.
@@ -222,9 +220,7 @@ class PlannedPath:
         # Beyond so many standard deviations the tip is past the target: a needle that
         # stops once too early does less harm than one that goes on.
         past_stds = 2.0
-        entry_std_m = self._entry_std_m
-        angle_std_rad = self._angle_std_rad
-        along_std_m = self._along_std_m
+        entry_std_m, angle_std_rad, along_std_m = self._fixed_stds
         at_entry, per_m = self._jacobians
         from_entry_m = tip_m - self.entry_m
         depth_m = float(from_entry_m @ self.axis)

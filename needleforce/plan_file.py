@@ -56,6 +56,9 @@ GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz."
 Point = Annotated[tuple[float, ...], msgspec.Meta(min_length=3, max_length=3)]
 """Three numbers."""
 
+Sextuple = Annotated[tuple[float, ...], msgspec.Meta(min_length=6, max_length=6)]
+"""Six numbers."""
+
 
 class PlanFileError(NeedleforceError, ValueError):
     """A plan's file that cannot be read, or whose plan cannot be followed."""
@@ -80,11 +83,6 @@ class LoadedPlan(NamedTuple):
     warnings: tuple[str, ...] = ()
     path: PlannedPath | None = None
     surroundings: NeedleSurroundings | None = None
-
-    @property
-    def entry_in_base_m(self) -> Array | None:
-        """The entry point in the robot's base, shape (3,) [m]; None without a path."""
-        return None if self.path is None else self.path.entry_m
 
     def follow_with(self, session: "InsertionSession") -> None:
         """Let a session follow the plan."""
@@ -201,12 +199,12 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     structures: str | dict[str, str] = ""
     registration: _RegisteredPlace | None = None
     made_of: MadeOf | None = None
-    rotation: tuple[Point, ...] | None = None
+    rotation: tuple[Point, Point, Point] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     translation_m: Point = (0.0, 0.0, 0.0)
     entry_m: Point | None = None
     target_m: Point | None = None
     offset_std_m: float = 3e-3
-    covariance: tuple[tuple[float, ...], ...] = ()
+    covariance: tuple[Sextuple, ...] = ()
     pivot_m: Point = (0.0, 0.0, 0.0)
     start_m: float = 0.0
     layers: tuple[_PlannedLayer, ...] = ()
@@ -220,7 +218,6 @@ def read_plan(
     place: str | Path,
     *,
     is_past: bool = False,
-    situs_inversus: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> LoadedPlan:
     """Return a plan from its file, or from a folder with `plan.json`.
@@ -228,7 +225,6 @@ def read_plan(
     Args:
         place: The file or folder.
         is_past: The insertion is over: obstacles on its path are a warning.
-        situs_inversus: Liver and spleen are exchanged, whether or not the plan says so.
         progress: Takes the fraction of the surfaces that is made.
 
     Raises:
@@ -239,7 +235,6 @@ def read_plan(
         path /= PLAN
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
-        plan.situs_inversus |= situs_inversus
         return _load_plan(plan, path.parent, is_past=is_past, progress=progress)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise PlanFileError(f"{path}: {error}") from error
@@ -258,30 +253,36 @@ def _load_plan(
     if plan.version:
         _require_registered(plan, registration, ends_m)
     layers = _planned_layers(plan)
+    space = FreeSpace(plan.needle_radius_m, plan.margin_m, plan.offset_std_m)
+    labels = scan = path = surroundings = None
+    warnings: list[str] = []
     if ends_m is None:
-        warnings = [
+        warnings.append(
             "no entry and target in the plan: not checked whether the needle is on it"
-        ]
-        labels = scan = path = surroundings = None
+        )
     else:
-        labels, scan, warnings = _read_anatomy(plan, folder, ends_m, layers)
+        if plan.covariance:
+            std_m = registration.largest_std_m(ends_m)
+            space = FreeSpace(plan.needle_radius_m, plan.margin_m, std_m)
+        labels, scan = _read_anatomy(plan, folder, ends_m, layers, space)
+        if scan is not None and plan.made_of is None:
+            warnings.append("the plan does not say what it was made of: not checked")
         path = _path_of(plan, registration, ends_m)
-        layers = layers or ([] if labels is None else labels.layers_along(*ends_m))
-        surroundings = None
+    if labels is not None and ends_m is not None:
+        layers = layers or labels.layers_along(*ends_m)
+        leave_out = (plan.target, *plan.accepted_obstacles)
+        surroundings = NeedleSurroundings(
+            labels, registration, ends_m[0], ends_m[1], space, leave_out=leave_out
+        )
+        warnings += _check_obstacles(plan, labels, ends_m, space, is_past=is_past)
+    else:
+        warnings.append("no labels beside the plan: clearance of obstacles not checked")
+        obstacles = [layer.name for layer in layers if layer.is_obstacle]
+        warnings += [f"the path runs through {name}" for name in obstacles]
     if not layers:
         raise ValueError(
             "neither layers in it, nor entry_m and target_m with labels.nii.gz, .nrrd "
             "or a .seg.nrrd beside it"
-        )
-    warnings += _check_obstacles(plan, labels, layers, is_past=is_past)
-    if labels is not None and ends_m is not None:
-        surroundings = NeedleSurroundings(
-            labels,
-            registration,
-            ends_m[0],
-            ends_m[1],
-            _space_of(plan),
-            leave_out=(plan.target, *plan.accepted_obstacles),
         )
     accepted = [layer.name for layer in layers] if is_past else plan.accepted_obstacles
     match = PlanMatch(layers, plan.offset_std_m, accepted_obstacles=accepted)
@@ -302,22 +303,19 @@ def _load_plan(
 def _checked_ends(plan: _PlanFile) -> Array | None:
     """Return entry and target, (2, 3); None without them."""
     max_coordinate_m = 10.0  # A larger coordinate is not in metres [m]
-    if (plan.entry_m is None) != (plan.target_m is None):
-        raise ValueError("one of entry_m and target_m in it: expected both, or neither")
-    points_m = [
-        plan.translation_m,
-        plan.entry_m or (0.0,) * 3,
-        plan.target_m or (0.0,) * 3,
-    ]
+    points_m = [*filter(None, (plan.translation_m, plan.entry_m, plan.target_m))]
     if np.abs(points_m).max() >= max_coordinate_m:
         raise ValueError(
             f"a place beyond {max_coordinate_m:g} m in it: expected metres, not "
             "millimetres"
         )
-    if plan.entry_m is None:
+    if plan.entry_m is None and plan.target_m is None:
         return None
-    if plan.entry_m == plan.target_m:
-        raise ValueError(f"entry_m and target_m are the same point {plan.entry_m}")
+    if plan.entry_m is None or plan.target_m is None or plan.entry_m == plan.target_m:
+        raise ValueError(
+            f"entry_m is {plan.entry_m}, target_m {plan.target_m} in it: expected two "
+            "places that are not the same, or neither"
+        )
     return np.array([plan.entry_m, plan.target_m])
 
 
@@ -325,26 +323,25 @@ def _checked_registration(plan: _PlanFile) -> Registration:
     """Return where the patient lies in the robot's base."""
     rotation_tolerance = 1e-3  # by so much rows may miss being orthonormal
     max_rounding = 1e-12  # so negative a variance may be: it is written in decimals
-    rotation = np.array(plan.rotation or np.eye(3))
-    is_orthonormal = rotation.shape == (3, 3) and np.allclose(
-        rotation @ rotation.T, np.eye(3), atol=rotation_tolerance
-    )
+    rotation = np.array(plan.rotation)
+    covariance = np.array(plan.covariance)
+    product_rows = rotation @ rotation.T
+    is_orthonormal = np.allclose(product_rows, np.eye(3), atol=rotation_tolerance)
     if not is_orthonormal or np.linalg.det(rotation) < 0.0:
         raise ValueError(
             f"rotation is {rotation.tolist()}: expected orthonormal rows, no mirror "
             "image"
         )
-    if plan.covariance:
-        if {len(plan.covariance), *map(len, plan.covariance)} != {6}:
-            raise ValueError("covariance in it is not 6 x 6")
-        covariance = np.array(plan.covariance)
-        least = np.linalg.eigvalsh(covariance)[0]
-        if not np.allclose(covariance, covariance.T) or least < -max_rounding:
-            raise ValueError("covariance in it is not symmetric and positive")
+    if plan.covariance and not (
+        np.array_equal(covariance.shape, (6, 6))
+        and np.allclose(covariance, covariance.T)
+        and np.linalg.eigvalsh(covariance)[0] >= -max_rounding
+    ):
+        raise ValueError("covariance in it is not 6 x 6, symmetric and positive")
     return Registration(
         rotation=rotation,
         translation_m=np.array(plan.translation_m),
-        covariance=np.array(plan.covariance),
+        covariance=covariance,
         pivot_m=np.array(plan.pivot_m),
         degrees=np.inf,
         residual_rms_m=np.nan,
@@ -367,16 +364,15 @@ def _require_registered(
             "it does not say where the patient lies in the robot's base, or names no "
             "CT and labels: expected the plan that `needleforce register --plan` writes"
         )
-    for name, point_m, place_m, error_m in (
-        ("entry", ends_m[0], place.entry_in_base_m, place.entry_error_rms_m),
-        ("target", ends_m[1], place.target_in_base_m, place.target_error_rms_m),
-    ):
-        is_there = np.allclose(registration.to_robot(point_m), place_m, atol=1e-4)
-        if not is_there or not np.isclose(registration.tre_m(point_m), error_m, 0.01):
-            raise ValueError(
-                f"its {name} was registered elsewhere, or with another error: path or "
-                "registration were changed; register again with `needleforce register`"
-            )
+    places_m = (place.entry_in_base_m, place.target_in_base_m)
+    errors_m = (place.entry_error_rms_m, place.target_error_rms_m)
+    is_there = np.allclose(registration.to_robot(ends_m), places_m, atol=1e-4)
+    stated_m = [registration.tre_m(point_m) for point_m in ends_m]
+    if not is_there or not np.allclose(stated_m, errors_m, rtol=0.01):
+        raise ValueError(
+            "its entry or target was registered elsewhere, or with another error: path "
+            "or registration were changed; register again with `needleforce register`"
+        )
 
 
 def _path_of(plan: _PlanFile, registration: Registration, ends_m: Array) -> PlannedPath:
@@ -389,39 +385,22 @@ def _path_of(plan: _PlanFile, registration: Registration, ends_m: Array) -> Plan
     return replace(path, tolerance_m=plan.margin_m)
 
 
-def _space_of(plan: _PlanFile) -> FreeSpace:
-    """Return what must stay free around the needle."""
-    std_m = plan.offset_std_m
-    if plan.covariance:
-        ends_m = np.array([plan.entry_m, plan.target_m])
-        std_m = _checked_registration(plan).largest_std_m(ends_m)
-    return FreeSpace(plan.needle_radius_m, plan.margin_m, std_m)
-
-
 def _check_obstacles(
-    plan: _PlanFile, labels: Labels | None, layers: Sequence[Layer], *, is_past: bool
+    plan: _PlanFile, labels: Labels, ends_m: Array, space: FreeSpace, *, is_past: bool
 ) -> list[str]:
     """Return warnings of what the path comes near to; refuse obstacles.
 
     Args:
         plan: The plan.
-        labels: The segmentation, if there is one.
-        layers: Layers along the path.
+        labels: The segmentation.
+        ends_m: Entry and target of the path.
+        space: What must stay free around the needle.
         is_past: The insertion is over: obstacles are a warning, too.
 
     Raises:
         PlanError: The path comes too near to an obstacle.
     """
-    if labels is None or plan.entry_m is None or plan.target_m is None:
-        warnings = ["no labels beside the plan: clearance of obstacles not checked"]
-        warnings += [
-            f"the path runs through {layer.name}"
-            for layer in layers
-            if layer.is_obstacle
-        ]
-        return warnings
-    space = _space_of(plan)
-    clearances = labels.clearances(plan.entry_m, plan.target_m)
+    clearances = labels.clearances(*ends_m)
     if not is_past:
         require_clear_path(clearances, space, plan.accepted_obstacles)
     warnings = [
@@ -435,19 +414,24 @@ def _check_obstacles(
             f"clearance not checked; there are {names}: `structures` in the plan says "
             "what they are"
         )
-    return [*warnings, labels.unchecked] if labels.unchecked else warnings
+    return [*warnings, *filter(None, (labels.unchecked,))]
 
 
 def _read_anatomy(
-    plan: _PlanFile, folder: Path, ends_m: Array, layers: Sequence[Layer]
-) -> tuple[Labels | None, Volume | None, list[str]]:
-    """Return labels and CT beside a plan, if there are any, and warnings of them.
+    plan: _PlanFile,
+    folder: Path,
+    ends_m: Array,
+    layers: Sequence[Layer],
+    space: FreeSpace,
+) -> tuple[Labels | None, Volume | None]:
+    """Return labels and CT beside a plan, if there are any.
 
     Args:
         plan: The plan.
         folder: Where it lies.
         ends_m: Its entry and target.
         layers: Those that it states.
+        space: What must stay free around the needle.
 
     Raises:
         ValueError: They are not those that the plan was made of.
@@ -456,25 +440,22 @@ def _read_anatomy(
     files = [folder / plan.labels] if plan.labels else beside
     scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
     if not files:
-        return None, None, []
+        return None, None
     names = plan.structures or None
     if isinstance(names, str):
         names = folder / names
     labels = read_labels(files[0], names, situs_inversus=plan.situs_inversus)
     if not scans:
-        return labels, None, []
+        return labels, None
     scan = read_volume(scans[0])
-    warnings: list[str] = []
-    if plan.made_of is None:
-        warnings = ["the plan does not say what it was made of: not checked"]
-    elif plan.made_of.sha256 != hash_sources(
-        scan, labels, ends_m, layers, _space_of(plan)
+    if plan.made_of is not None and plan.made_of.sha256 != hash_sources(
+        scan, labels, ends_m, layers, space
     ):
         raise ValueError(
             "CT, labels, path, layers or needle are not those that it was made of: "
             "plan again with `needleforce plan`, and register"
         )
-    return labels.checked_against(scan).with_dense(scan), scan, warnings
+    return labels.checked_against(scan).with_dense(scan), scan
 
 
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:

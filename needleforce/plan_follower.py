@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from identification import Estimate, Rupture
+from needleforce.insertion_events import SessionEvent
 from needleforce.needle_on_plan import (
     PlanDeviation,
     PlannedPath,
     describe_to_target,
     describe_too_near,
 )
-from needleforce.session_event import SessionEvent
 from needleforce.tip_travel import TravelZero
 from residual.tool_kinematics import ToolKinematics
 

@@ -21,11 +21,11 @@ from identification import (
     PublishedConfig,
 )
 from needleforce.insertion_course import MAX_TRAVEL_IN_LAG_M, InsertionCourse
+from needleforce.insertion_events import SessionEvent
 from needleforce.needle_channels import ChannelState
 from needleforce.needle_on_plan import PlanDeviation, PlannedPath
 from needleforce.plan_follower import PlanFollower
 from needleforce.rewinding import RewindingIdentifier
-from needleforce.session_event import SessionEvent
 from needleforce.session_snapshot import InsertionError, SessionSnapshot
 from needleforce.tip_travel import TravelZero
 from needleforce.zero_watch import ZeroWatch

@@ -1,32 +1,18 @@
 """The command `needleforce`: a robot's joint signals to forces, forces to layers.
 
-The modules of commands hold their texts in the help; the options stand in
-`shared_options` and `patient.options`. Whatever computes is imported when a command is
-run, so that `--help` answers at once.
+Whatever computes is imported when a command is run, so that `--help` answers at once.
 
-Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`log_commands`, `arm_commands`, `patient_commands`, `machine_commands`, `robot` (the
-robot from options and TOML files), `logs`, `session_parts`, `arms`, `patient`, `demos`,
-`checkup`.
+Reading order: `options` (the application, what several commands take), `commands`,
+`terminal` (errors, signals, printing), `robot` (the robot from options and TOML files),
+`logs`, `session_parts`, `arms`, `patient`, `demos`, `checkup`.
 """
 
 import re
 import sys
 from collections.abc import Sequence
 
-from needleforce.cli import (
-    arm_commands as arm_commands,
-)
-from needleforce.cli import (
-    log_commands as log_commands,
-)
-from needleforce.cli import (
-    machine_commands as machine_commands,
-)
-from needleforce.cli import (
-    patient_commands as patient_commands,
-)
-from needleforce.cli.application import app as app
+from needleforce.cli import commands as commands
+from needleforce.cli.options import app as app
 from needleforce.cli.terminal import CommandError, run_command
 
 

@@ -19,12 +19,18 @@ CORE = ("pin", "pandas", "numpy", "scipy", "numba", "msgspec", "cyclopts")
 """What is always required."""
 
 
-def examine() -> dict[str, str]:
-    """Return what is found, by label, the verdict last; nothing is compiled or written.
+def examine(*, compiles: bool = False) -> dict[str, str]:
+    """Return what is found, by label, the verdict last.
 
     The name of an extra is the label of what is missing for it.
+
+    Args:
+        compiles: Whether what is not kept yet is compiled first, so that nothing has to
+            be later; else nothing is compiled or written.
     """
     _import_compiled()
+    if compiles:
+        jit.compile_waiting()
     versions = {name: _version_of(name) for name in (PACKAGE, *CORE)}
     core = ", ".join(f"{name} {versions[name] or '(missing)'}" for name in CORE)
     threads = os.environ.get("OMP_NUM_THREADS") or "not set (1 suits a control loop)"
@@ -38,12 +44,6 @@ def examine() -> dict[str, str]:
         **{extra: _describe_extra(extra) for extra in EXTRAS},
         "verdict": "; ".join(_find_doubts(versions)) or "ready",
     }
-
-
-def compile_everything() -> None:
-    """Compile and keep what is not kept yet: nothing has to be compiled later."""
-    _import_compiled()
-    jit.compile_waiting()
 
 
 def _import_compiled() -> None:

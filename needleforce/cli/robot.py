@@ -5,7 +5,8 @@ Arm, payload, friction and settings.
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,35 +16,19 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
+import residual
 import urdf
 from foundation.arrays import Array
-from needleforce.cli.shared_options import RobotOptions, SensorOptions
+from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import OTHER_ROBOT, CommandError, warn
 from needleforce.recordings.channels import read_toml
-from needleforce.recordings.table import LinkTransforms
-from residual import (
-    DEFAULT,
-    PUBLISHED,
-    FrictionModel,
-    JointFriction,
-    SensorConfig,
-    SigmoidFriction,
-)
-from urdf import (
-    NeedleTool,
-    Payload,
-    Robot,
-    UnknownNameError,
-    example_robot_path,
-)
+from needleforce.recordings.table import LinkTransforms, TableLabels
+from urdf import NeedleTool, Payload, Robot
 from urdf.errors import finite_array
 from urdf.joint_choice import joints_towards, movable_joints
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
 T = TypeVar("T")
-
-LWR = "lwr"
-"""Name of the arm that is taken without options."""
 
 NOTHING = "none"
 """How a file says None, for which TOML has no word."""
@@ -69,19 +54,19 @@ def robot_from_options(
         CommandError: Options contradict each other, or the robot cannot be loaded.
     """
     _check_robot_options(options)
-    payload = payload_from_options(options, mapping)
-    gravity_m_s2 = gravity_from_options(options)
-    if _is_lwr(options):
-        return urdf.load_lwr(payload=payload, gravity_m_s2=gravity_m_s2)  # none is odd
-    tool: dict[str, Any] = {
+    load: dict[str, Any] = {
+        "payload": payload_from_options(options, mapping),
+        "gravity_m_s2": np.array(options.gravity or STANDARD_GRAVITY_M_S2),
+    }
+    if options.is_lwr:
+        return urdf.load_lwr(**load)  # nothing in it is odd
+    load |= {
         "tool_frame": options.tool_frame,
         "tool_placement": options.tip_offset,
         "without": options.without,
-        "gravity_m_s2": gravity_m_s2,
-        "payload": payload,
     }
     if options.urdf is None:
-        robot = urdf.load_example(str(options.robot), **tool)
+        robot = urdf.load_example(str(options.robot), **load)
     else:
         locked_joints = dict(map(_parse_lock, options.lock))
         kept_joints = None
@@ -92,7 +77,7 @@ def robot_from_options(
             locked_joints=locked_joints,
             keep_joints=kept_joints,
             check_inertias=not options.accept_inertia,
-            **tool,
+            **load,
         )
         if kept_joints is not None:
             assumed = assumed_positions(options, {*kept_joints, *locked_joints})
@@ -151,7 +136,7 @@ def assumed_positions(
     """
     path = Path(str(options.urdf))
     route: tuple[str, ...] = ()
-    with suppress(UnknownNameError):  # several last links: none is surely the tool's
+    with suppress(urdf.UnknownNameError):  # no single last link
         route = joints_towards(path, options.tool_frame, options.without)
     assumed = [name for name in route if name not in chosen]
     if not assumed:
@@ -177,23 +162,27 @@ def robot_from_text(text: str, source: str, options: RobotOptions) -> Robot:
 
 
 def _check_robot_options(options: RobotOptions) -> None:
-    """Refuse options of the robot that contradict each other."""
+    """Refuse options of the robot that contradict each other, or are in other units."""
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots, expected one of them")
-    if options.gravity is not None and options.mount is not None:
-        raise CommandError("--gravity and --mount say the same, expected one of them")
     for_urdf = (options.lock, options.lock_others, options.accept_inertia)
     if any(for_urdf) and options.urdf is None:
         raise CommandError(
             "--lock, --lock-others and --accept-inertia are for a robot of --urdf "
             "FILE; known robots have no joints to lock and all their inertia"
         )
-    if _is_lwr(options) and (
-        options.tool_frame or options.tip_offset or options.without
-    ):
+    for_tool = (options.tool_frame, options.tip_offset, options.without)
+    if any(for_tool) and options.is_lwr:
         raise CommandError(
             "--tool-frame, --tip-offset and --without describe a robot of --robot "
             "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
+        )
+    # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
+    if options.gravity and not 9.7 <= np.linalg.norm(options.gravity) <= 9.9:
+        raise CommandError(
+            f"--gravity {' '.join(f'{value:g}' for value in options.gravity)}: "
+            "expected about 9.81 m/s^2, as in 0 0 9.81 for a robot that hangs from the "
+            "ceiling"
         )
 
 
@@ -208,38 +197,13 @@ def _parse_lock(text: str) -> tuple[str, float]:
         ) from error
 
 
-def gravity_from_options(options: RobotOptions) -> Array:
-    """Return gravity in base axes [m/s^2], shape (3,).
-
-    Raises:
-        CommandError: It is not as strong as on Earth.
-    """
-    size_m_s2 = -STANDARD_GRAVITY_M_S2[2]
-    mounts = {"wall": (size_m_s2, 0.0, 0.0), "ceiling": (0.0, 0.0, size_m_s2)}
-    gravity_m_s2 = options.gravity or mounts.get(
-        options.mount or "", STANDARD_GRAVITY_M_S2
-    )
-    # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
-    if not 9.7 <= np.linalg.norm(gravity_m_s2) <= 9.9:
-        raise CommandError(
-            f"--gravity {' '.join(f'{value:g}' for value in gravity_m_s2)}: expected "
-            "about 9.81 m/s^2, as in 0 0 9.81 for a robot that hangs from the ceiling"
-        )
-    return np.array(gravity_m_s2)
-
-
-def _is_lwr(options: RobotOptions) -> bool:
-    """Return whether the robot is the known LWR 4+."""
-    return options.urdf is None and options.robot in (None, LWR)
-
-
 def urdf_with_shapes(options: RobotOptions) -> Path:
     """Return the file whose shapes the scene shows."""
     if options.urdf is not None:
         return Path(options.urdf)
-    if _is_lwr(options):
+    if options.is_lwr:
         return Path(str(files("urdf.data") / "lwr4plus.urdf"))
-    return Path(example_robot_path(str(options.robot)))
+    return Path(urdf.example_robot_path(str(options.robot)))
 
 
 def payload_from_options(
@@ -266,7 +230,7 @@ def payload_from_options(
         folder = Path(mapping).parent
         where = f"{mapping}: [payload]"
     if value is None:
-        value = NEEDLE if _is_lwr(options) else NOTHING
+        value = NEEDLE if options.is_lwr else NOTHING
     if value == NOTHING:
         return None
     if value == NEEDLE:
@@ -296,7 +260,9 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     ]
 
 
-def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
+def with_friction(
+    robot: Robot, path: str | None
+) -> tuple[Robot, residual.FrictionModel | None]:
     """Return the robot with rotors and friction of the file of ``--friction``.
 
     It holds one table, ``[viscous_coulomb]`` with the fields of
@@ -312,7 +278,10 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
     """
     if path is None:
         return robot, None
-    models = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
+    models = {
+        "viscous_coulomb": residual.JointFriction,
+        "sigmoid": residual.SigmoidFriction,
+    }
     tables = read_toml(path, "friction file")
     rotor_inertia = tables.pop("rotor_inertia_kg_m2", None)
     if len(tables) > 1 or not tables.keys() <= models.keys():
@@ -336,8 +305,8 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
 
 
 def sensor_config(
-    options: SensorOptions, friction: FrictionModel | None
-) -> SensorConfig:
+    options: SensorOptions, friction: residual.FrictionModel | None
+) -> residual.SensorConfig:
     """Return the preset with the file's settings, then the options', in their place.
 
     Args:
@@ -347,7 +316,7 @@ def sensor_config(
     Raises:
         CommandError: The file of ``--config`` has friction, or an unknown key.
     """
-    config = PUBLISHED if options.published else DEFAULT
+    config = residual.PUBLISHED if options.published else residual.DEFAULT
     if options.config is not None:
         table = read_toml(options.config, "config file")
         if "friction" in table:
@@ -355,7 +324,7 @@ def sensor_config(
                 f"{options.config}: unknown key 'friction'; joint friction stands in "
                 "the file of --friction",
             )
-        config = convert_table(SensorConfig, table, options.config, config)
+        config = convert_table(residual.SensorConfig, table, options.config, config)
     settings = {
         "gain_per_s": options.gain,
         "friction": friction,
@@ -408,50 +377,43 @@ def _as_array(_kind: Any, value: Any) -> Array:
     return np.array(value, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class ArmFrames:
-    """Where the links and the tool frame of an arm are; called with joint positions.
+def link_poses(robot: Robot, q_rad: np.ndarray) -> LinkTransforms:
+    """Return where the links and the tool frame of an arm are, in its root link's axes.
 
-    Attributes:
+    Args:
         robot: The arm.
+        q_rad: Joint positions [rad or m], shape (n,).
     """
-
-    robot: Robot
-
-    def __call__(self, q_rad: np.ndarray) -> LinkTransforms:
-        """Return the poses in the axes of the root link.
-
-        Args:
-            q_rad: Joint positions [rad or m], shape (n,).
-        """
-        model = self.robot.model
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, q_rad)
-        poses = {
-            frame.name: data.oMf[index]
-            for index, frame in enumerate(model.frames)
-            if frame.type == pin.BODY or index == self.robot.tool_frame_id
-        }
-        # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
-        root = self.robot.frame_names[1]
-        poses = {name: poses[name] for name in poses if name not in (root, "universe")}
-        return LinkTransforms(
-            parent=root,
-            children=tuple(poses),
-            translation_m=np.array([pose.translation for pose in poses.values()]),
-            rotation_xyzw=np.array(
-                [pin.Quaternion(pose.rotation).coeffs() for pose in poses.values()]
-            ),
-        )
+    model = robot.model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q_rad)
+    # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
+    root = robot.frame_names[1]
+    poses = {
+        frame.name: data.oMf[index]
+        for index, frame in enumerate(model.frames)
+        if (frame.type == pin.BODY or index == robot.tool_frame_id)
+        and frame.name not in (root, "universe")
+    }
+    rotations = [pin.Quaternion(pose.rotation).coeffs() for pose in poses.values()]
+    return LinkTransforms(
+        parent=root,
+        children=tuple(poses),
+        translation_m=np.array([pose.translation for pose in poses.values()]),
+        rotation_xyzw=np.array(rotations),
+    )
 
 
-def read_description(options: RobotOptions) -> str:
-    """Return the text of the URDF that options name; empty if it cannot be read.
+def labels_of_arm(options: RobotOptions, robot: Robot) -> TableLabels:
+    """Return what lets a bag show an arm.
 
     Args:
         options: Options that describe the robot.
+        robot: The arm.
     """
-    try:
-        return urdf_with_shapes(options).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""
+    description = urdf_with_shapes(options).read_text("utf-8", errors="replace")
+    return TableLabels(
+        joint_names=robot.joint_names,
+        robot_description=description,
+        link_poses=partial(link_poses, robot),
+    )

@@ -1,9 +1,8 @@
 """What commands add to a session: a tare that it takes by itself, and a plan."""
 
-import math
 from pathlib import Path
 
-from needleforce.cli.terminal import CommandError, progress_bar, say, warn
+from needleforce.cli.terminal import progress_bar, say, warn
 from needleforce.plan_file import LoadedPlan, read_plan
 from needleforce.tare_run import AutoTare
 from residual import TareError
@@ -15,12 +14,7 @@ def auto_tare(every_s: float, *, at_once: bool = False) -> AutoTare:
     Args:
         every_s: Motion before the first tare, and between two attempts.
         at_once: Whether the log is a recording, in which no tick waits.
-
-    Raises:
-        CommandError: The time is not positive, or infinite.
     """
-    if not 0.0 < every_s < math.inf:
-        raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
 
     def say_refusal(time_s: float, error: TareError) -> None:
         say(
@@ -31,26 +25,17 @@ def auto_tare(every_s: float, *, at_once: bool = False) -> AutoTare:
     return AutoTare(every_s, at_once=at_once, on_refusal=say_refusal)
 
 
-def load_plan(
-    place: Path | None, *, is_past: bool = False, situs_inversus: bool = False
-) -> LoadedPlan | None:
+def load_plan(place: Path | None, *, is_past: bool = False) -> LoadedPlan | None:
     """Return a plan from its file, and say its warnings on stderr; see `read_plan`.
 
     Without a file there is no plan.
 
     Raises:
-        CommandError: A situs inversus is stated of no plan.
         needleforce.plan_file.PlanFileError: As `read_plan`.
     """
     if place is None:
-        if situs_inversus:
-            raise CommandError(
-                "--situs-inversus belongs to the labels of a plan: expected --plan"
-            )
         return None
     with progress_bar("surfaces") as progress:
-        plan = read_plan(
-            place, is_past=is_past, situs_inversus=situs_inversus, progress=progress
-        )
+        plan = read_plan(place, is_past=is_past, progress=progress)
     warn(plan.warnings)
     return plan

@@ -12,14 +12,9 @@ import numpy as np
 
 from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
-from needleforce.cli.robot import (
-    LWR,
-    ArmFrames,
-    read_description,
-    robot_from_options,
-    robot_from_text,
-)
-from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
+from needleforce import devices
+from needleforce.cli.options import ArmOptions, MotorConstants, RobotOptions
+from needleforce.cli.robot import labels_of_arm, robot_from_options, robot_from_text
 from needleforce.cli.terminal import (
     OTHER_ROBOT,
     CommandError,
@@ -28,22 +23,12 @@ from needleforce.cli.terminal import (
     stop_request,
 )
 from needleforce.control import Limits
-from needleforce.devices import (
-    ArmReading,
-    DeviceSettingError,
-    Fr3Arm,
-    LinkError,
-    ReplayArm,
-    connect_arm,
-    pace,
-    parse_arm_name,
-)
+from needleforce.devices import ArmReading, LinkError, ReplayArm, pace
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S
 from needleforce.recorder import Recorder
 from needleforce.recordings.output import check_writable
-from needleforce.recordings.table import TableLabels
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -100,8 +85,8 @@ def open_arm(
         return
     if kind != "ros2":
         try:
-            parse_arm_name(name)
-        except DeviceSettingError as error:
+            devices.parse_arm_name(name)
+        except devices.DeviceSettingError as error:
             # Arms without a connection of their own, to be moved or listened to.
             others = "sim" if takes_commands else "sim:SCENARIO"
             raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
@@ -114,7 +99,9 @@ def open_arm(
 
         opened: Any = Ros2Arm(place, robot.joint_names, **settings)
     else:
-        opened = connect_arm(name, torque_constant_Nm_A=constants_Nm_A, **settings)
+        opened = devices.connect_arm(
+            name, torque_constant_Nm_A=constants_Nm_A, **settings
+        )
     with opened as arm:
         if kind != "ros2" and arm.joints != robot.nv:
             raise CommandError(
@@ -129,7 +116,7 @@ def _simulated_arm(
     name: str, scenario: str, options: RobotOptions, *, takes_commands: bool
 ) -> ConnectedArm:
     """Return an LWR 4+ that replays a simulated insertion, or moves in free air."""
-    if options not in (RobotOptions(), RobotOptions(robot=LWR)):
+    if replace(options, robot=None) != RobotOptions() or not options.is_lwr:
         raise CommandError(
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
@@ -155,11 +142,10 @@ def _simulated_arm(
 
 def _robot_of(name: str, options: RobotOptions) -> Robot:
     """Return the robot that options describe, else the one that an arm is taken for."""
-    described = described_robot(name, options)
-    if options.robot is not None or options.urdf is not None:
+    if options.is_named:
         return robot_from_options(options, None)
     if name.startswith("fr3:"):
-        with Fr3Arm(parse_arm_name(name).host) as arm:
+        with devices.Fr3Arm(devices.parse_arm_name(name).host) as arm:
             text = arm.client.model_urdf
         # Names of its flange in its own description.
         flanges = ("fr3_link8", "link8")
@@ -170,7 +156,8 @@ def _robot_of(name: str, options: RobotOptions) -> Robot:
             "name others"
         )
         return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
-    if described.robot is None:
+    described = described_robot(name, options)
+    if not described.is_named:
         raise CommandError(
             f"{name} does not say what arm it is, expected --urdf FILE",
             OTHER_ROBOT,
@@ -189,10 +176,8 @@ def described_robot(name: str, options: RobotOptions) -> RobotOptions:
         name: The arm as the command line names it.
         options: Options that describe the robot.
     """
-    if options.robot is not None or options.urdf is not None:
-        return options
     kind = name.partition(":")[0].partition("@")[0]
-    return replace(options, robot=ROBOTS.get(kind))
+    return options if options.is_named else replace(options, robot=ROBOTS.get(kind))
 
 
 def ask_to_move(name: str, motion: str) -> None:
@@ -235,11 +220,9 @@ def samples_until_stopped(
         show_silence: Called every 0.1 s of a silence with its length [s].
 
     Raises:
-        CommandError: The time is not positive, or nothing came until then.
+        CommandError: Nothing came until then.
         LinkError: The arm is lost.
     """
-    if not options.seconds > 0.0:
-        raise CommandError(f"--seconds {options.seconds}: expected a positive time")
     # What nohup has the process ignore does not end it; else a signal does while
     # nothing comes.
     signals = [
@@ -298,7 +281,7 @@ def record_signals(
         Recorder(
             output,
             model.joint_names,
-            _labels_of_arm(arm_name, model, robot),
+            labels_of_arm(described_robot(arm_name, robot), model),
             overwrites=overwrites,
         ) as recorder,
     ):
@@ -319,9 +302,3 @@ def record_signals(
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0
-
-
-def _labels_of_arm(arm_name: str, model: Robot, options: RobotOptions) -> TableLabels:
-    """Return what lets a bag show the arm."""
-    description = read_description(described_robot(arm_name, options))
-    return TableLabels(robot_description=description, link_poses=ArmFrames(model))

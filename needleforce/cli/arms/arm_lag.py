@@ -2,7 +2,7 @@
 
 from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
-from needleforce.cli.shared_options import RobotOptions
+from needleforce.cli.options import RobotOptions
 from needleforce.cli.terminal import aligned, json_text, say, write_out
 from needleforce.control.lag import PHASE_MARGIN_deg, find_safe_gain, measure_lag
 from needleforce.control.tasks import GAIN_PER_S

@@ -4,12 +4,11 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from foundation.jit import compile_waiting
 from groundtruth.rig_arm import ArmSample, SimulatedArm
-from needleforce.anatomy import PlanState
-from needleforce.anatomy.plan_match import OFF_PLAN_LAYER
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
@@ -20,20 +19,15 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
     say_silence,
 )
+from needleforce.cli.options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
-from needleforce.cli.shared_options import (
-    ArmOptions,
-    Direction,
-    RobotOptions,
-    WatchOptions,
-)
 from needleforce.cli.terminal import CHECK_ARM, CommandError, say, write_out
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
-from needleforce.depth_zero import DepthZero, find_depth_zero
+from needleforce.depth_zero import find_depth_zero
 from needleforce.devices import ArmReading, LinkReport, NetFT
 from needleforce.devices.rdt import describe_status
-from needleforce.insertion_events import describe_hard_contact
+from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
 from needleforce.plan_file import LoadedPlan
 from needleforce.reference_force import ReferenceForce
@@ -51,7 +45,17 @@ M_TO_MM = 1e3
 
 
 def watch_arm(
-    arm_name: str, options: ArmOptions, robot: RobotOptions, watch: WatchOptions
+    arm_name: str,
+    options: ArmOptions,
+    robot: RobotOptions,
+    *,
+    plan_place: Path | None,
+    reference_address: str | None,
+    reference_axis: Direction,
+    port: int | None,
+    tare_s: float,
+    motion: TareMotion | None,
+    is_confirmed: bool,
 ) -> int:
     """Watch force and layers of an arm.
 
@@ -59,7 +63,13 @@ def watch_arm(
         arm_name: The arm as the command line names it.
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
-        watch: What it is watched with.
+        plan_place: The plan that is followed, if any.
+        reference_address: Of a force sensor between flange and tool, if any.
+        reference_axis: Direction of insertion in its axes.
+        port: Of the page with the scene; None for no page.
+        tare_s: Motion without contact before the tare.
+        motion: That the arm makes, and is tared from, before; None for none.
+        is_confirmed: Whether it may move without a question.
 
     Returns:
         The exit code.
@@ -70,19 +80,20 @@ def watch_arm(
         ControlError: The arm has not moved as it should.
         TareError: The motion of the stroke is no free motion.
     """
-    motion = find_stroke(watch)
-    tare = auto_tare(watch.tare)
-    plan = load_plan(watch.plan, situs_inversus=watch.situs_inversus)
+    tare = auto_tare(tare_s)
+    plan = load_plan(plan_place)
     with ExitStack() as stack:
-        opened = _open_tared_arm(arm_name, robot, options, motion, watch)
+        opened = _open_tared_arm(
+            arm_name, robot, options, motion, is_confirmed=is_confirmed
+        )
         (arm, model), session = stack.enter_context(opened)
         reference = page = None
-        if watch.reference is not None:
-            sensor = _open_reference(watch.reference, watch.reference_axis)
+        if reference_address is not None:
+            sensor = _open_reference(reference_address, reference_axis)
             reference = stack.enter_context(sensor)
-        if watch.view:
+        if port is not None:
             robot = described_robot(arm_name, robot)
-            page = stack.enter_context(_open_page(model, plan, robot, watch.port))
+            page = stack.enter_context(_open_page(model, plan, robot, port))
             say(f"{page.url} shows the scene")
         if plan is not None:
             plan.follow_with(session)
@@ -143,25 +154,19 @@ def _estimates(
         yield sample, estimate
 
 
-def find_stroke(watch: WatchOptions) -> TareMotion | None:
+def parse_stroke(stroke_mm: float | None, swivel_deg: float) -> TareMotion | None:
     """Return the motion that options ask for; None without a stroke.
 
-    Raises:
-        CommandError: The stroke is not positive, or the swivel is no angle from 0 to
-            less than 360 degrees.
+    Args:
+        stroke_mm: Retreat of the needle.
+        swivel_deg: Swings of the elbow meanwhile.
     """
-    stroke_mm = watch.tare_stroke
     if stroke_mm is None:
         return None
-    if not (0.0 < stroke_mm < math.inf and 0.0 <= watch.tare_swivel < 360.0):
-        raise CommandError(
-            f"--tare-stroke {stroke_mm:g}, --tare-swivel {watch.tare_swivel:g}: "
-            "expected millimetres above 0, and degrees from 0 to less than 360"
-        )
     return TareMotion(
         stroke_m=1e-3 * stroke_mm,
         leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
-        swivel_rad=math.radians(watch.tare_swivel),
+        swivel_rad=math.radians(swivel_deg),
     )
 
 
@@ -193,7 +198,8 @@ def _open_tared_arm(
     robot: RobotOptions,
     options: ArmOptions,
     motion: TareMotion | None,
-    watch: WatchOptions,
+    *,
+    is_confirmed: bool,
 ) -> Iterator[tuple[ConnectedArm, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
@@ -205,7 +211,7 @@ def _open_tared_arm(
         robot: Options that describe the robot.
         options: Motor constants of a UR.
         motion: That the arm makes, and is tared from; None for none.
-        watch: Whether the user is asked.
+        is_confirmed: Whether it may move without a question.
 
     Raises:
         CommandError: The user says no, or the arm sends no torques.
@@ -223,7 +229,7 @@ def _open_tared_arm(
         f"return in {motion.duration_s:.0f} s; the elbow of an arm of seven joints "
         f"will swing {swings} times by {math.degrees(motion.swivel_rad):.0f} degrees."
     )
-    if not watch.yes:
+    if not is_confirmed:
         ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(name, robot, constants_Nm_A, takes_commands=True) as connected:
@@ -257,13 +263,14 @@ def show(
     Returns:
         The time of the session at which the next line is due.
     """
-    for event in describe_events(estimate):
-        write_out(f"{event}\n")
+    for event in session_events(estimate):
+        if event.kind != "layer":
+            write_out(f"{event.text}\n")
     if estimate.time_s < next_s:
         return next_s
     said = [str(estimate.warnings or ""), estimate.wrench.message]
-    values = [*describe_values(estimate, reference), *filter(None, said)]
-    write_out("  ".join(values) + "\n")
+    values = [*describe_values(estimate, reference), *said]
+    write_out("  ".join(filter(None, values)) + "\n")
     return estimate.time_s + 1.0
 
 
@@ -285,41 +292,11 @@ def describe_values(
         f"tip {identification.tip_force_N:6.2f} N  depth "
         f"{zero.shown_mm(estimate.depth_m):6.1f} mm {zero.name}  layer "
         f"{identification.layer}",
+        _describe_plan(estimate),
     ]
-    if estimate.plan is not None:
-        values.append(describe_plan(estimate.plan, zero))
     if estimate.deviation is not None:
         values.append(describe_deviation(estimate.deviation))
-    if estimate.clearances:
-        values.append(describe_clearances(estimate.clearances))
-    return values
-
-
-def describe_events(estimate: SessionEstimate) -> Iterator[str]:
-    """Yield in words what was detected or retracted at this sample."""
-    identification = estimate.identification
-    for event in estimate.plan_events:
-        yield event.text
-    rupture = identification.rupture
-    if rupture is not None:
-        zero = find_depth_zero(estimate)
-        text = (
-            f"rupture of layer {rupture.layer} at {zero.shown_mm(rupture.depth_m):.1f} "
-            f"mm {zero.name} ({rupture.probability:.0%})"
-        )
-        plan = estimate.plan
-        if plan is not None and plan.layer == OFF_PLAN_LAYER:
-            text += ", off plan"
-        elif plan is not None:
-            into = "into " if plan.matched >= 0 else ""
-            text += f", by the plan {into}{plan.matched_name}"
-            text += f" ({plan.matched_probability:.0%})"
-        yield text
-    if identification.retracted is not None:
-        layer = identification.retracted.layer
-        yield f"no rupture of layer {layer} after all: the force came back"
-    if identification.hard_contact is not None:
-        yield describe_hard_contact(identification.hard_contact)
+    return [*values, describe_clearances(estimate.clearances)]
 
 
 def describe_reference(reference: ReferenceForce) -> str:
@@ -329,13 +306,16 @@ def describe_reference(reference: ReferenceForce) -> str:
     )
 
 
-def describe_plan(plan: PlanState, zero: DepthZero) -> str:
+def _describe_plan(estimate: SessionEstimate) -> str:
     """Return where the tip is by the plan, what comes next, and the plan's offset."""
-    if plan.layer == OFF_PLAN_LAYER:
+    plan = estimate.plan
+    if plan is None:
+        return ""
+    if estimate.deviation is not None and estimate.deviation.is_off_plan:
         return "no layer is named off the plan"
-    text = f"in {plan.name} ({plan.probability:.0%})"
+    text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
     if plan.next_name:
-        next_mm = zero.shown_mm(plan.next_m)
+        next_mm = find_depth_zero(estimate).shown_mm(plan.next_m)
         next_std_mm = M_TO_MM * plan.next_std_m
         text += f", {plan.next_name} at {next_mm:.1f} ± {next_std_mm:.1f} mm"
     offset_mm = M_TO_MM * plan.offset_m

@@ -8,8 +8,8 @@ import numpy as np
 from needleforce import plots
 from needleforce.anatomy import Registration
 from needleforce.cli.demos.insertion import NOT_MEDICAL
+from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import urdf_with_shapes
-from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import (
     aligned,
     progress_bar,

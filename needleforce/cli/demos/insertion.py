@@ -1,6 +1,5 @@
 """`needleforce demo`: a simulated insertion through three gels, reported like a log."""
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,15 +9,15 @@ import pandas as pd
 
 from groundtruth import Run, simulate
 from needleforce import plots
-from needleforce.cli.logs.forces import ForceRun
+from needleforce.cli.logs.forces import add_forces
 from needleforce.cli.logs.layers import LayerReplay
-from needleforce.cli.logs.replay import forces_with_layers
-from needleforce.cli.logs.result import CaptionedFigure, Result
-from needleforce.cli.shared_options import IdentificationOptions
-from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
+from needleforce.cli.logs.replay import add_layers_of_forces
+from needleforce.cli.logs.result import Result
+from needleforce.cli.options import IdentificationOptions
+from needleforce.cli.terminal import aligned, progress_bar, write_out
 from needleforce.plots import palette
 from needleforce.recordings import Log
-from needleforce.sensor_replay import TareWindow, replay_sensor
+from needleforce.session_replay import SensorReplay, TareWindow, replay_sensor
 from residual import DEFAULT
 
 if TYPE_CHECKING:
@@ -60,12 +59,7 @@ def run(folder: Path, seed: int) -> int:
 
     Returns:
         The exit code.
-
-    Raises:
-        CommandError: The seed is negative.
     """
-    if seed < 0:
-        raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
     with plots.whole_folder(folder) as draft:
         result = demonstrate(seed)
         write_out(f"{result.text()}{NOT_MEDICAL}\n")
@@ -92,24 +86,20 @@ def demonstrate(seed: int) -> Result:
     window = TareWindow(0.0, insertion.tare_end_s)
     with progress_bar("estimating from joint signals") as progress:
         replay = replay_sensor(
-            log,
-            insertion.robot,
-            DEFAULT,
-            window=window,
-            ignore_contact=True,  # nothing is touched before
-            progress=progress,
+            log, insertion.robot, DEFAULT, window=window, progress=progress
         )
-    found = ForceRun("a simulated insertion", log, insertion.robot, replay, ())
-    result, layers = forces_with_layers(found, IdentificationOptions())
-    draw = partial(_draw_truth, insertion, found, layers)
-    return replace(
-        result.joined(_truth_of(insertion, found)),
-        figures={"truth": CaptionedFigure(draw, CAPTION), **result.figures},
-    )
+    result = Result(log="a simulated insertion", title="Forces and layers")
+    layers = add_layers_of_forces(result, replay, IdentificationOptions())
+    add_forces(result, replay)
+    _add_truth(result, insertion, replay)
+    draw = partial(_draw_truth, insertion, replay, layers)
+    result.figures = {"truth": draw, **result.figures}
+    result.notes["truth"] = CAPTION
+    return result
 
 
-def _truth_of(insertion: Run, found: ForceRun) -> Result:
-    """Return what the simulation knows of the layers, and how far the force is off."""
+def _add_truth(result: Result, insertion: Run, replay: SensorReplay) -> None:
+    """Add what the simulation knows of the layers, and how far the force is off."""
     truth = insertion.truth
     layers = insertion.scenario.layers
     rows = [
@@ -124,23 +114,19 @@ def _truth_of(insertion: Run, found: ForceRun) -> Result:
         if true.layer > 0
     ]
     is_in_tissue = (truth.t_s >= truth.contact_s) & (truth.t_s <= truth.withdrawn_s)
-    error_N = (found.replay.rows["axial_N"].to_numpy() - truth.axial_N)[is_in_tissue]
+    error_N = (replay.rows["axial_N"].to_numpy() - truth.axial_N)[is_in_tissue]
     rms_N = float(np.sqrt(np.nanmean(error_N**2)))
-    return Result(
-        log=found.name,
-        title=insertion.scenario.title,
-        sentences=(
-            f"Force on the needle within {rms_N:.2f} N rms of the truth, in the tissue."
-            f" Simulated LWR 4+, plant model {insertion.plant}, seed {insertion.seed}: "
-            f"{insertion.scenario.title}.",
-        ),
-        tables={TRUTH: pd.DataFrame(rows)},
-        notes={TRUTH: TRUTH_NOTE},
+    result.sentences.append(
+        f"Force on the needle within {rms_N:.2f} N rms of the truth, in the tissue."
+        f" Simulated LWR 4+, plant model {insertion.plant}, seed {insertion.seed}: "
+        f"{insertion.scenario.title}."
     )
+    result.tables[TRUTH] = pd.DataFrame(rows)
+    result.notes[TRUTH] = TRUTH_NOTE
 
 
 def _draw_truth(
-    insertion: Run, found: ForceRun, layers: LayerReplay, width_in: float
+    insertion: Run, replay: SensorReplay, layers: LayerReplay, width_in: float
 ) -> "Figure":
     """Return the forces on the needle and at its tip over its depth, with the truth."""
     truth = insertion.truth
@@ -149,7 +135,7 @@ def _draw_truth(
     rows = np.flatnonzero(is_inserted & (truth.t_s >= truth.contact_s))[::20]
     depth_mm = 1e3 * truth.depth_m[rows]
     forces = {
-        "force on the needle [N]": (truth.axial_N, found.replay.rows["axial_N"]),
+        "force on the needle [N]": (truth.axial_N, replay.rows["axial_N"]),
         "force at the tip [N]": (truth.tip_N, layers.rows["tip_force_N"]),
     }
     for axes, (label, (true_N, ours_N)) in zip(panels, forces.items(), strict=True):

@@ -6,11 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from needleforce import recordings
+from needleforce.cli.options import Columns, RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.shared_options import Columns, RobotOptions
 from needleforce.cli.terminal import CommandError
-from needleforce.recordings import ColumnError, ColumnMapping
-from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings import ChannelRequest, ColumnError, ColumnMapping
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
 from urdf import Robot
@@ -29,15 +28,26 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
         base = recordings.load_mapping(columns.mapping, knowledge)
     channels = dict(base.channels)
     rate_hz = base.rate_hz
-    if columns.rate is not None:
+    if columns.rate is not None or columns.time is not None:
         channels.pop("time", None)
-    if columns.rate is not None or getattr(columns, "time", None) is not None:
         rate_hz = columns.rate
     for name, channel in knowledge.channels.items():
         if (text := getattr(columns, name, None)) is not None:
             channels[name] = parse_column_spec(text, channel)
     joints = getattr(columns, "joints", None) or base.joints
     return replace(base, joints=joints, channels=channels, rate_hz=rate_hz)
+
+
+def depth_channels(mapping: ColumnMapping) -> tuple[str, ...]:
+    """Return what is read beside depth and force.
+
+    What `needleforce force` states of the axial force holds for no other force.
+    """
+    channels = ("speed", "force_std", "force_status", "force_warnings")
+    force_spec = mapping.channels.get("force")
+    if force_spec is None or "axial" in force_spec.patterns[0].lower():
+        return channels
+    return ("speed", *(name for name in channels[1:] if name in mapping.channels))
 
 
 def has_channels(source: str, mapping: ColumnMapping, channels: Sequence[str]) -> bool:

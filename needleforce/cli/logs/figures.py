@@ -8,15 +8,16 @@ import numpy as np
 import pandas as pd
 
 from needleforce import plots
-from needleforce.cli.logs.layers import LayerReplay
-from needleforce.cli.shared_options import Over
+from needleforce.cli.options import Over
 from needleforce.plots import palette
 from needleforce.plots.drawing import printable
-from needleforce.sensor_replay import STATUS_CODES, SensorReplay
+from needleforce.session_replay import STATUS_CODES, SensorReplay
 from residual import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from needleforce.cli.logs.layers import LayerReplay
 
 Line = dict[str, Any]
 """A line of a panel: `y`, perhaps `std`, and the style and label of `plots.draw_line`;
@@ -68,7 +69,7 @@ def draw_forces(
 
 
 def draw_layers(
-    found: LayerReplay, title: str, over: Over, width_in: float
+    found: "LayerReplay", title: str, over: Over, width_in: float
 ) -> "Figure":
     """Return forces above, parameters below, as in Figure 8 of Ferro et al.
 

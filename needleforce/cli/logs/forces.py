@@ -1,48 +1,35 @@
 """Forces of a log: from options to the sensor's replay, and what it says in words."""
 
-from dataclasses import dataclass
+from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from needleforce import recordings
+from needleforce.cli.logs import figures
 from needleforce.cli.logs.columns import mapping_from_options, robot_of_log
+from needleforce.cli.logs.result import Result
+from needleforce.cli.options import JointColumns, RobotOptions, SensorOptions
 from needleforce.cli.robot import sensor_config, with_friction
-from needleforce.cli.shared_options import JointColumns, RobotOptions, SensorOptions
 from needleforce.cli.terminal import CHOOSE_TARE, CommandError, progress_bar, warn
 from needleforce.depth_zero import FIRST_ROW
-from needleforce.recordings import Log
 from needleforce.recordings.table import STANDARD_STREAM
-from needleforce.sensor_replay import (
+from needleforce.session_replay import (
     STATUS_CODES,
     SensorReplay,
     TareWindow,
-    describe_rejections,
     replay_sensor,
 )
 from residual import SensorWarning, Status, TareError
-from residual.bias.torque_scale import TorqueDiagnosis
 from urdf import Robot
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceRun:
-    """The forces of a log.
-
-    Attributes:
-        name: Name of the log.
-        log: The log.
-        robot: The robot, with the rotors of ``--friction``.
-        replay: What the sensor has estimated.
-        warnings: What is wrong with the log, and with the torques; said on stderr.
-    """
-
-    name: str
-    log: Log
-    robot: Robot
-    replay: SensorReplay
-    warnings: tuple[str, ...]
+CAPTION = (
+    "The force of the environment on the tool; the axial force is positive when tissue "
+    "pushes back. The band is two standard deviations wide to either side. Grey lines "
+    "are not tared: they carry the errors of the model and of the torque sensors."
+)
 
 
 def name_of(source: str) -> str:
@@ -52,7 +39,7 @@ def name_of(source: str) -> str:
 
 def run_forces(
     source: str, robot: RobotOptions, sensor: SensorOptions, columns: JointColumns
-) -> ForceRun:
+) -> SensorReplay:
     """Estimate the forces of a log; what is wrong with it is said on stderr.
 
     Raises:
@@ -92,9 +79,8 @@ def run_forces(
     except TareError as error:
         advice = f"{CHOOSE_TARE}; --force-tare keeps it"
         raise CommandError(str(error), advice) from error
-    doubts = find_doubts(replay)
-    warn(doubts)
-    return ForceRun(name_of(source), log, model, replay, (*log.warnings, *doubts))
+    warn(find_doubts(replay))
+    return replay
 
 
 def parse_tare_window(text: str, first_s: float) -> TareWindow:
@@ -108,40 +94,55 @@ def parse_tare_window(text: str, first_s: float) -> TareWindow:
         CommandError: The text names no window.
     """
     start, _, end = (word.strip() for word in text.partition(":"))
-    times_s: list[float] = []
-    for word in (start or "+0", end):
-        try:
-            times_s.append(first_s * word.startswith("+") + float(word))
-        except ValueError as error:
-            reason = f"--tare {text}: expected START:END"
-            raise CommandError(reason, CHOOSE_TARE) from error
+    try:
+        times_s = [
+            first_s * word.startswith("+") + float(word)
+            for word in (start or "+0", end)
+        ]
+    except ValueError as error:
+        reason = f"--tare {text}: expected START:END"
+        raise CommandError(reason, CHOOSE_TARE) from error
     return TareWindow(*times_s)
 
 
-def describe_forces(run: ForceRun) -> dict[str, str]:
+def add_forces(result: Result, replay: SensorReplay) -> None:
+    """Add what is said of the forces of a log to its result."""
+    log = replay.log
+    flags = describe_warnings(replay)
+    marked = [f"samples with {flags}"] if flags else []
+    robot_warnings = replay.robot.warnings
+    result.warnings += [*log.warnings, *find_doubts(replay), *robot_warnings, *marked]
+    result.facts |= describe_forces(replay)
+    result.units |= {unit.channel: str(unit) for unit in log.units}
+    for over in ("time", "depth"):
+        name = f"forces-over-{over}"
+        result.figures[name] = partial(figures.draw_forces, replay, result.log, over)
+        result.notes[name] = CAPTION
+    result.settings["sensor"] = replay.config
+
+
+def describe_forces(replay: SensorReplay) -> dict[str, str]:
     """Return what was used, done and estimated, by label."""
-    replay = run.replay
     config = replay.config
+    log = replay.log
     estimated = "wrench" if config.mode == "full" else f"{config.mode} force"
-    origin = "from the log" if "dq_rad_s" in run.log else "estimated"
+    origin = "from the log" if "dq_rad_s" in log else "estimated"
     source = f"K = {config.slowest_gain_per_s:g} 1/s, velocity {origin}"
     lag = f"{1e3 * replay.sensor.lag_s:.1f} ms"
-    if "tau_ext_Nm" in run.log:
+    if "tau_ext_Nm" in log:
         source = "from the robot's own external torque"
         lag = "that of the robot's own estimate"
     facts = {
-        "robot": _describe_robot(run.robot),
-        "model": "; ".join(run.robot.warnings),
-        "sensor": f"{estimated} at {config.frame or run.robot.tool_frame}, {source}",
-        "samples": _describe_samples(replay, run.log),
-        "rejected": describe_rejections(replay.rejected) or "none",
+        "robot": _describe_robot(replay.robot),
+        "model": "; ".join(replay.robot.warnings),
+        "sensor": f"{estimated} at {config.frame or replay.robot.tool_frame}, {source}",
+        "samples": _describe_samples(replay),
+        "rejected": _describe_rejections(replay.rejected),
         "gaps": _describe_gaps(replay),
         "warnings": describe_warnings(replay) or "none",
         "signals": "; ".join(replay.doubts),
         "tare": _describe_tare(replay),
-        "torque": _describe_torques(
-            replay.sensor.diagnosis, is_external="tau_ext_Nm" in run.log
-        ),
+        "torque": _describe_torques(replay),
         "axial force": _describe_axial_force(replay),
         "travel": f"counts {FIRST_ROW}; identify and report count below first contact",
         "lag": lag,
@@ -153,17 +154,16 @@ def _describe_robot(robot: Robot) -> str:
     """Return name, joints and payload, and gravity where the base is not upright."""
     mass_kg = robot.payload.mass_kg if robot.payload is not None else 0.0
     text = f"{robot.model.name}, {robot.nv} joints, payload {mass_kg:.3g} kg"
-    gravity_m_s2 = robot.gravity_m_s2.tolist()
-    if tuple(gravity_m_s2) == STANDARD_GRAVITY_M_S2:
+    if tuple(robot.gravity_m_s2) == STANDARD_GRAVITY_M_S2:
         return text
-    shown = " ".join(f"{component:.4g}" for component in gravity_m_s2)
+    shown = " ".join(f"{component:.4g}" for component in robot.gravity_m_s2)
     return f"{text}, gravity {shown} m/s^2 in base axes"
 
 
-def _describe_samples(replay: SensorReplay, log: Log) -> str:
+def _describe_samples(replay: SensorReplay) -> str:
     """Return how many rows there are of each status, and their rate."""
-    counts = replay.rows["force_status"].value_counts()
-    rows = {status: int(counts.get(code, 0)) for status, code in STATUS_CODES.items()}
+    log = replay.log
+    rows = {status: replay.count_status(status) for status in STATUS_CODES}
     rows[Status.REJECTED] += log.left_out
     listed = [f"{count} {status.value}" for status, count in rows.items() if count]
     text = f"{sum(rows.values())} in {log.t_s[-1] - log.t_s[0]:.4g} s"
@@ -173,15 +173,22 @@ def _describe_samples(replay: SensorReplay, log: Log) -> str:
     return f"{text}: {', '.join(listed)}"
 
 
+def _describe_rejections(rejected: Counter[str]) -> str:
+    """Return how many samples were rejected, and for which reasons."""
+    shown_reasons = 4
+    most_first = rejected.most_common(shown_reasons)
+    reasons = "; ".join(f"{count} x {text}" for text, count in most_first)
+    return f"{rejected.total()}: {reasons}" if reasons else "none"
+
+
 def _describe_gaps(replay: SensorReplay) -> str:
     """Return how many gaps in time there are, and the longest."""
     limit = f"longer than {replay.config.max_gap_s:g} s"
-    is_after_gap = replay.rows["after_gap"].to_numpy() > 0.0
-    gaps = int(is_after_gap.sum())
-    if not gaps:
+    steps_s = replay.rows["t_s"].diff()[replay.rows["after_gap"]]
+    if steps_s.empty:
         return f"none {limit}"
-    longest_s = np.diff(replay.rows["t_s"], prepend=np.nan)[is_after_gap].max()
-    return f"{gaps} {limit} (longest {longest_s:.6g} s): filters restart after each"
+    longest = f"{len(steps_s)} {limit} (longest {steps_s.max():.6g} s)"
+    return f"{longest}: filters restart after each"
 
 
 def _count(replay: SensorReplay, warning: SensorWarning) -> int:
@@ -191,9 +198,9 @@ def _count(replay: SensorReplay, warning: SensorWarning) -> int:
 
 def describe_warnings(replay: SensorReplay) -> str:
     """Return how many samples have which warning, the most first; empty for none."""
-    counts = {warning: _count(replay, warning) for warning in SensorWarning}
-    most_first = sorted(counts.items(), key=lambda item: -item[1])
-    return ", ".join(f"{count} x {warning}" for warning, count in most_first if count)
+    counts = Counter({warning: _count(replay, warning) for warning in SensorWarning})
+    listed = counts.most_common()
+    return ", ".join(f"{count} x {warning}" for warning, count in listed if count)
 
 
 def _describe_tare(replay: SensorReplay) -> str:
@@ -208,28 +215,25 @@ def _describe_tare(replay: SensorReplay) -> str:
     )
 
 
-def _describe_torques(diagnosis: TorqueDiagnosis | None, *, is_external: bool) -> str:
+def _describe_torques(replay: SensorReplay) -> str:
     """Return scale, missing mass and unchecked joints as a tare has shown them."""
     max_listed_std_kg = 1.0  # a payload that is known less well is not listed
-    if is_external:
+    diagnosis = replay.sensor.diagnosis
+    if "tau_ext_Nm" in replay.log:
         return "not checked: the robot estimates the external torque itself"
     if diagnosis is None:
-        return "not checked: no tare, or one that ignores contact"
-    parts = [_describe_scale(diagnosis)]
+        reason = "no tare" if replay.tare is None else "the tare ignores contact"
+        return f"not checked: {reason}"
+    parts = [
+        f"{diagnosis.scale:.3g} +/- {diagnosis.scale_std:.2g} times what gravity asks "
+        "for"
+    ]
     if diagnosis.payload_std_kg <= max_listed_std_kg:
         parts.append(
-            f"missing mass {diagnosis.payload_kg + 0.0:.2f} +/- "
+            f"missing mass {diagnosis.payload_kg:z.2f} +/- "
             f"{diagnosis.payload_std_kg:.2f} kg"
         )
     return "; ".join(filter(None, (*parts, diagnosis.describe_unchecked())))
-
-
-def _describe_scale(diagnosis: TorqueDiagnosis) -> str:
-    """Return torque over that of the model, with its deviation."""
-    return (
-        f"{diagnosis.scale:.3g} +/- {diagnosis.scale_std:.2g} times what gravity asks "
-        "for"
-    )
 
 
 def find_doubts(replay: SensorReplay) -> list[str]:
@@ -244,7 +248,7 @@ def find_doubts(replay: SensorReplay) -> list[str]:
             f"torque: {diagnosis.describe()}: units, the sensors' scale, or masses of "
             "the model, are off; the force's deviation has that in it"
         )
-    tared = int(np.sum(replay.rows["force_status"] == STATUS_CODES[Status.OK]))
+    tared = replay.count_status(Status.OK)
     mismatched = _count(replay, SensorWarning.MODEL_MISMATCH)
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
     if mismatched > 0.1 * tared:
@@ -258,9 +262,8 @@ def find_doubts(replay: SensorReplay) -> list[str]:
 
 def _describe_axial_force(replay: SensorReplay) -> str:
     """Return the range of the axial force with its deviation."""
-    rows = replay.rows
     for status, note in ((Status.OK, ""), (Status.NOT_TARED, ", not tared")):
-        chosen = rows[rows["force_status"] == STATUS_CODES[status]]
+        chosen = replay.rows[replay.rows["force_status"] == STATUS_CODES[status]]
         if len(chosen):
             return (
                 f"{chosen['axial_N'].min():.3f} to {chosen['axial_N'].max():.3f} N, "

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -19,11 +20,14 @@ from identification import (
     TissueWarning,
     replay,
 )
-from needleforce.cli.shared_options import IdentificationOptions
+from needleforce.cli.logs.figures import draw_layers
+from needleforce.cli.logs.result import Result
+from needleforce.cli.options import IdentificationOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
 from needleforce.recordings import Log
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from needleforce.session_replay import SensorReplay
 
 METHODS = {
     "mixture": MIXTURE,
@@ -56,11 +60,24 @@ _EVENTS = ("rupture", "identified_layer", "retracted")
 """Fields of an estimate that are None but on the rows of events."""
 
 
+CAPTION = (
+    "Above, the axial force as it was recorded, the force that the model predicts, the "
+    "enhanced force (less the force in free air and the friction of the layers "
+    "traversed) and the force at the tip. Below, stiffness and friction of the layer "
+    "the tip is in, and the friction of all layers traversed; the band, where the "
+    "method states one, is two standard deviations wide to either side. Marks below: "
+    "estimated rupture times, and where friction was identified. In the table times "
+    "are on the log's clock, and a ? marks what the data do not identify. Where a "
+    "membrane is pushed in before it ruptures, layers overlap."
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerReplay:
     """What the identifier has found in a log.
 
     Attributes:
+        log: The log of depth and force.
         rows: The columns of `estimate_table`, and `depth_m` and `force_N` of the log.
         layers: Layers traversed, as known at the end.
         warnings: What seems wrong with signs and forces.
@@ -68,6 +85,7 @@ class LayerReplay:
         method: One of `METHODS`.
     """
 
+    log: Log
     rows: pd.DataFrame
     layers: tuple[LayerEstimate, ...]
     warnings: tuple[str, ...]
@@ -118,6 +136,7 @@ def identify_layers(
     depth_in_tissue_m = log["depth_m"] - found.contact_depths_m
     table = estimate_table(log.t_s, depth_in_tissue_m, found.estimates)
     return LayerReplay(
+        log=log,
         rows=table.assign(depth_m=log["depth_m"], force_N=force_N),
         layers=found.layers,
         warnings=(*counted, *(hint.text for hint in found.hints)),
@@ -209,16 +228,42 @@ def estimate_table(
     return table
 
 
-def layer_table(found: LayerReplay) -> pd.DataFrame:
-    """Return a line of text per layer; ``?`` marks what is not identified.
+def depth_log(replay: SensorReplay) -> Log:
+    """Return forces as `needleforce identify` would read them from their table."""
+    columns = {
+        "depth_m": "travel_m",
+        "force_N": "axial_unsmoothed_N",
+        "force_std_N": "axial_unsmoothed_std_N",
+        "force_status": "force_status",
+        "force_warnings": "force_warnings",
+    }
+    channels = {
+        name: replay.rows[column].to_numpy() for name, column in columns.items()
+    }
+    return Log(t_s=replay.log.t_s, channels=channels)
 
-    Times are on the log's clock.
-    """
-    return pd.DataFrame([_layer_cells(layer, found.zero) for layer in found.layers])
+
+def add_layers(result: Result, found: LayerReplay) -> None:
+    """Add what is said of layers, and of the log that they were read from."""
+    if found.layers:
+        caption = "Layers traversed"
+        cells = [_layer_cells(layer, found.zero) for layer in found.layers]
+        result.tables[caption] = pd.DataFrame(cells)
+        result.notes[caption] = _describe_zero(found.zero)
+    result.sentences.append(_describe_layers(found))
+    doubts = _find_tissue_doubts(found)
+    result.warnings += [*doubts, *found.log.warnings, *found.warnings]
+    result.units |= {unit.channel: str(unit) for unit in found.log.units}
+    result.figures["layers"] = partial(draw_layers, found, result.log, "time")
+    result.notes["layers"] = CAPTION
+    result.settings["identification"] = METHODS[found.method]
 
 
 def _layer_cells(layer: LayerEstimate, zero: DepthZero) -> dict[str, str]:
-    """Return the line of a layer, by the heads of the columns."""
+    """Return the line of a layer; ``?`` marks what is not identified.
+
+    Times are on the log's clock.
+    """
     end_mm = zero.shown_mm(layer.start_depth_m + layer.thickness_m)
     stiffness = with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
     friction = with_std(layer.friction_N, layer.friction_std_N, 3)
@@ -242,7 +287,7 @@ def with_std(value: float, std: float | None, digits: int) -> str:
     return text if std is None else f"{text}±{std:.{digits}f}"
 
 
-def describe_zero(zero: DepthZero) -> str:
+def _describe_zero(zero: DepthZero) -> str:
     """Return in a sentence where depths count from."""
     if zero.name == LOG_ZERO:
         return f"Depths count {LOG_ZERO}."
@@ -251,7 +296,7 @@ def describe_zero(zero: DepthZero) -> str:
     )
 
 
-def describe_layers(found: LayerReplay) -> str:
+def _describe_layers(found: LayerReplay) -> str:
     """Return the ruptures found in a sentence."""
     if not found.layers:
         return "No rupture was detected."
@@ -260,7 +305,7 @@ def describe_layers(found: LayerReplay) -> str:
     return f"{len(found.layers)} rupture{plural} detected, {depths}."
 
 
-def find_tissue_doubts(found: LayerReplay) -> list[str]:
+def _find_tissue_doubts(found: LayerReplay) -> list[str]:
     """Return where something hard was met, and whether the tissue moved."""
     doubts: list[str] = []
     depths_m = found.rows.loc[found.rows["hard_contact"] > 0, "depth_m"]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -19,21 +19,9 @@ Draw = Callable[[float], "Figure"]
 """Draws a figure of a width [in]."""
 
 
-class CaptionedFigure(NamedTuple):
-    """A figure of a page.
-
-    Attributes:
-        draw: Draws it.
-        caption: Stands below it.
-    """
-
-    draw: Draw
-    caption: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Result:
-    """What was found in a log.
+    """What was found in a log; each step adds what it has found.
 
     Attributes:
         log: Name of the log.
@@ -42,33 +30,24 @@ class Result:
         warnings: What makes it doubtful.
         facts: Text of what was used, done and estimated, by label.
         tables: Cells of text by caption, under the heads of their columns.
-        notes: What stands below a table, by its caption.
         units: In which unit each channel was read, and whence that is known.
         figures: Figures of a page by the names of their files, without ending.
+        notes: What stands below a table or figure, by its caption or name.
         settings: Dataclasses of settings by what they are of.
         files: Further files of a report, by name.
     """
 
     log: str
     title: str
-    sentences: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    facts: Mapping[str, str] = field(default_factory=dict)
-    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
-    notes: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    figures: Mapping[str, CaptionedFigure] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    files: Mapping[str, bytes] = field(default_factory=dict)
-
-    def joined(self, more: "Result") -> "Result":
-        """Return this and what another step found in the same log, in this order."""
-        joined: dict[str, Any] = {"log": self.log, "title": self.title}
-        for name in ("sentences", "warnings"):
-            joined[name] = (*getattr(self, name), *getattr(more, name))
-        for name in ("facts", "tables", "notes", "units", "figures", "settings"):
-            joined[name] = {**getattr(self, name), **getattr(more, name)}
-        return Result(**joined, files={**self.files, **more.files})
+    sentences: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    facts: dict[str, str] = field(default_factory=dict)
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, Draw] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
 
     def text(self) -> str:
         """Return it as lines for a terminal."""
@@ -76,65 +55,68 @@ class Result:
         for caption, rows in self.tables.items():
             parts.append(f"{table_text(rows)}{self.notes[caption]}\n")
         parts.append("".join(f"{text}\n" for text in self.sentences))
-        parts.append(aligned([("channel", "read as"), *self.units.items()]))
+        if self.units:
+            parts.append(aligned([("channel", "read as"), *self.units.items()]))
         return "\n".join(filter(None, parts))
 
     def json(self) -> str:
         """Return it as JSON."""
-        content = {
-            "log": self.log,
-            "sentences": self.sentences,
-            "warnings": self.warnings,
-            "facts": self.facts,
-            "tables": {
-                caption: rows.to_dict("records")
-                for caption, rows in self.tables.items()
-            },
-            "channels": self.units,
-        }
-        return json_text(content)
+        tables = {name: rows.to_dict("records") for name, rows in self.tables.items()}
+        return json_text(
+            {
+                "log": self.log,
+                "sentences": self.sentences,
+                "warnings": self.warnings,
+                "facts": self.facts,
+                "tables": tables,
+                "channels": self.units,
+            }
+        )
 
     def write_page(self, folder: Path) -> None:
         """Write it as a page, with its figures, into a folder."""
         for name, content in self.files.items():
             (folder / name).write_bytes(content)
-        facts = _pairs_table("What was used, done and found", self.facts)
-        channels = _pairs_table(
-            "In which unit each channel was read, and whence that is known", self.units
-        )
-        page_figures = tuple(
+        figures = tuple(
             plots.PageFigure(
-                path=save(figure.draw, folder / f"{name}.svg"),
-                wide=save(figure.draw, folder / f"{name}-wide.svg", plots.WIDE_IN),
+                path=save(draw, folder / f"{name}.svg"),
+                wide=save(draw, folder / f"{name}-wide.svg", plots.WIDE_IN),
                 alt=f"{name.replace('-', ' ')} of {self.log}",
-                caption=figure.caption,
+                caption=self.notes[name],
             )
-            for name, figure in self.figures.items()
+            for name, draw in self.figures.items()
         )
-        parts: dict[str, dict[str, Any]] = {"Figures": {"figures": page_figures}}
-        if self.facts:
-            parts["Summary"] = {"tables": (facts,)}
-        if self.units:
-            parts["Channels"] = {"tables": (channels,)}
+        tables = {
+            "Summary": _pairs_table("What was used, done and found", self.facts),
+            "Channels": _pairs_table(
+                "In which unit each channel was read, and whence that is known",
+                self.units,
+            ),
+        }
         for what, settings in self.settings.items():
-            table = plots.settings_table(
+            tables[f"Settings of the {what}"] = plots.settings_table(
                 settings, "As in a file for --config, SI units"
             )
-            parts[f"Settings of the {what}"] = {"tables": (table,)}
-        force = self.facts.get("axial force")
-        force_lead = (f"Force along the needle: {force}.",) if force else ()
+        sections = [plots.Section(heading="Figures", anchor="figures", figures=figures)]
+        sections += [
+            plots.Section(
+                heading=heading, anchor=heading.split()[-1].lower(), tables=(table,)
+            )
+            for heading, table in tables.items()
+            if table.rows
+        ]
+        lead = [*self.sentences, NOTE]
+        if "axial force" in self.facts:
+            lead.insert(-1, f"Force along the needle: {self.facts['axial force']}.")
         page = plots.Page(
             title=f"{self.title} from {self.log}",
-            lead=(*self.sentences, *force_lead, NOTE),
+            lead=tuple(lead),
             notices=tuple(f"Warning: {text}" for text in self.warnings),
             tables=tuple(
                 _page_table(caption, rows, self.notes[caption])
                 for caption, rows in self.tables.items()
             ),
-            sections=tuple(
-                plots.Section(heading=heading, anchor=heading.split()[-1].lower(), **of)
-                for heading, of in parts.items()
-            ),
+            sections=tuple(sections),
         )
         plots.write_page(folder / plots.PAGE, page)
 

@@ -5,10 +5,11 @@ from time import sleep
 
 import numpy as np
 
+from needleforce import recordings
 from needleforce.cli.logs.columns import robot_of_log
+from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
-from needleforce.cli.shared_options import RobotOptions, ViewOptions
 from needleforce.cli.terminal import (
     CommandError,
     progress_bar,
@@ -16,22 +17,33 @@ from needleforce.cli.terminal import (
     warn,
     write_out,
 )
-from needleforce.recordings import ColumnMapping, Log, load_mapping, read_log
-from needleforce.recordings.output import check_outputs, require_place
+from needleforce.recordings import output
 from needleforce.scene import Moment, Viewer, is_kept
 from needleforce.scene.nodes import EMPTY
-from needleforce.sensor_replay import require_joints
 from needleforce.session import InsertionSession
-from needleforce.session_replay import replay_session
+from needleforce.session_replay import replay_session, require_joints
 
 
-def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
+def view_recording(
+    recording: Path,
+    robot: RobotOptions,
+    *,
+    anatomy: Path | None,
+    mapping_file: str | None,
+    tare_s: float,
+    export: Path | None,
+    port: int,
+) -> int:
     """Show a recording until Ctrl-C, or write it as one page.
 
     Args:
         recording: File of joint signals.
-        options: What is shown beside it, and where.
         robot: Options that describe the robot.
+        anatomy: A plan.
+        mapping_file: Which columns are which.
+        tare_s: Motion without contact before the tare.
+        export: The page; None to serve it.
+        port: Where it is served.
 
     Returns:
         The exit code.
@@ -39,19 +51,17 @@ def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -
     Raises:
         CommandError: The name of the page does not end in .html.
     """
-    export = options.export
     if export is not None:
         if export.suffix.lower() != ".html":
             raise CommandError(f"--export {export}: its name must end in .html")
-        require_place(export)
-        check_outputs({"--export": export}, recording)
-    mapping = load_mapping(options.mapping) if options.mapping else ColumnMapping()
-    model = robot_of_log(str(recording), mapping, robot, options.mapping)
-    plan = load_plan(
-        options.anatomy, is_past=True, situs_inversus=options.situs_inversus
-    )
-    session = InsertionSession(model)
-    log = read_log(
+        output.require_place(export)
+        output.check_outputs({"--export": export}, recording)
+    mapping = recordings.ColumnMapping()
+    if mapping_file:
+        mapping = recordings.load_mapping(mapping_file)
+    model = robot_of_log(str(recording), mapping, robot, mapping_file)
+    plan = load_plan(anatomy, is_past=True)
+    log = recordings.read_log(
         recording,
         mapping,
         required=["q", "tau"],
@@ -60,12 +70,12 @@ def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -
     )
     warn(log.warnings)
     require_joints(log["q_rad"], model)
+    session = InsertionSession(model)
     if plan is not None:
         plan.follow_with(session)
-    moments = scene_moments(session, log, options.tare)
+    moments = scene_moments(session, log, tare_s)
     scene = EMPTY if plan is None else plan.scene
-    shapes = urdf_with_shapes(robot)
-    viewer = Viewer(model, scene, urdf_path=shapes, port=options.port)
+    viewer = Viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
     if viewer.unread_shapes:
         warn([f"the arm is shown as a line: {viewer.unread_shapes}"])
     viewer.append(moments)
@@ -81,7 +91,9 @@ def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -
     return 0
 
 
-def scene_moments(session: InsertionSession, log: Log, tare_s: float) -> list[Moment]:
+def scene_moments(
+    session: InsertionSession, log: recordings.Log, tare_s: float
+) -> list[Moment]:
     """Run a session over a recording; what is wrong with it is said on stderr.
 
     Args:

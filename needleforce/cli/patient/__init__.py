@@ -1,5 +1,5 @@
 """From one's own CT to a registered plan: the commands plan, touch and register.
 
-Reading order: `options`, `case_files` (CT, labels and their names, plan, touches),
+Reading order: `case_files` (CT, labels and their names, plan, touches),
 `plan_run`, `touch_run`, `register_run`.
 """

@@ -156,12 +156,14 @@ def require_known_names(
         )
 
 
-def read_touches(path: Path) -> TouchFile:
-    """Read what `needleforce touch` wrote.
+def read_touches(path: Path | None) -> TouchFile:
+    """Read what `needleforce touch` wrote; without a file nothing was touched.
 
     Raises:
         CommandError: The file cannot be read, or is of another version.
     """
+    if path is None:
+        return TouchFile(version=1)
     try:
         return msgspec.json.decode(path.read_bytes(), type=TouchFile)
     except (OSError, msgspec.MsgspecError) as error:
@@ -208,8 +210,8 @@ def case_of_plan(place: Path) -> PatientCase:
     )
 
 
-def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
-    """Write the fields of a plan's file, whole or not at all.
+def write_plan_fields(path: Path, fields: Mapping[str, Any] | TouchFile) -> None:
+    """Write a plan's file, or what was touched, whole or not at all.
 
     Raises:
         CommandError: The file cannot be written.

@@ -2,25 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import fdtri
 
 from foundation.arrays import Array
-from needleforce.anatomy import (
-    FreeSpace,
-    Labels,
-    PlanError,
-    Registration,
-    RegistrationError,
-    Surface,
-    fit_landmarks,
-    fit_surface,
-    read_transform,
-    require_clear_path,
-    require_lps,
-)
+from needleforce import anatomy
+from needleforce.anatomy import PlanError, Registration, RegistrationError, Surface
 from needleforce.anatomy.landmarks import (
     MIN_VERIFIED,
     LandmarkResidual,
@@ -29,17 +18,7 @@ from needleforce.anatomy.landmarks import (
 from needleforce.anatomy.markups import RAS_TO_LPS, read_markup
 from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
-from needleforce.cli.patient.case_files import (
-    MODULES,
-    NOT_MEDICAL,
-    TouchFile,
-    case_of_plan,
-    read_plan_fields,
-    read_touches,
-    relative_path,
-    write_plan_fields,
-)
-from needleforce.cli.patient.options import RegisterOptions
+from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import (
     CommandError,
     aligned,
@@ -53,17 +32,39 @@ from needleforce.needle_on_plan import PlannedPath
 
 M_PER_MM = 1e-3
 
-MAX_STD_mm = 50.0
-"""Larger ones are not in millimetres."""
 
-
-def register_plan(place: Path, options: RegisterOptions, output: Path) -> int:
+def register_plan(
+    place: Path,
+    output: Path,
+    *,
+    landmark_file: Path | None,
+    touch_file: Path | None,
+    transform: Path | None,
+    transform_from: Literal["slicer", "itk"] | None,
+    transform_std_mm: float | None,
+    landmark_std_mm: float,
+    touch_std_mm: float,
+    softness_mm: float,
+    motion_mm: float,
+    landmarks_only: bool,
+    negate_xy: bool,
+) -> int:
     """Register the patient of a plan by landmarks and touches, or by a transform.
 
     Args:
         place: The plan.
-        options: What the registration rests on.
         output: The plan with its registration.
+        landmark_file: Points of the CT.
+        touch_file: What was touched.
+        transform: In place of landmarks: from the CT to the robot's base.
+        transform_from: Who wrote it.
+        transform_std_mm: Its deviation at the patient along each axis.
+        landmark_std_mm: Deviation of a landmark along each axis.
+        touch_std_mm: Deviation of a touch of the skin.
+        softness_mm: By so much touches press the skin in, at most.
+        motion_mm: Deviation of what organs move against the skin.
+        landmarks_only: Whether touches of the skin are left out.
+        negate_xy: Whether x and y of the landmarks are negated.
 
     Returns:
         The exit code.
@@ -73,100 +74,114 @@ def register_plan(place: Path, options: RegisterOptions, output: Path) -> int:
         needleforce.anatomy.AnatomyError: Landmarks or touches do not fit, or the file
             holds no rigid motion; the path comes too near to an obstacle.
     """
-    require_modules("register", MODULES)
-    _require_mm("--landmark-std", options.landmark_std, 1e-3)
-    _require_mm("--touch-std", options.touch_std, 1e-3)
-    _require_mm("--motion", options.motion)
-    _require_mm("--softness", options.softness)
-    fields = read_plan_fields(place)
-    touched = TouchFile(version=1)
-    if options.touches is not None:
-        touched = read_touches(options.touches)
+    require_modules("register", case_files.MODULES)
+    fields = case_files.read_plan_fields(place)
+    touched = case_files.read_touches(touch_file)
     touches_m = np.array(touched.touches_m, dtype=float).reshape(-1, 3)
+    names = [one.name for one in touched.landmarks]
     residuals: list[LandmarkResidual] = []
-    if options.transform is not None:
-        fit = _fit_of_transform(fields, options)
-        labels = case_of_plan(place).labels
-        skin = labels.skin()
-        _require_touched_skin(fit, skin, touches_m, options)
+    model_m = np.zeros((0, 3))
+    if transform is None and landmark_file is not None and touch_file is not None:
+        touches_m = _require_touches(touches_m, landmarks_only=landmarks_only)
+        model_m = _places_of(names, landmark_file, negate_xy=negate_xy)
+        robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
+        std_m = M_PER_MM * landmark_std_mm
+        fit = anatomy.fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=True)
+        residuals = judge_landmarks(model_m, robot_m, std_m, names)
+    elif (
+        transform is None
+        or transform_from is None
+        or transform_std_mm is None
+        or landmark_file is not None
+        or negate_xy
+        or landmarks_only
+    ):
+        raise CommandError(
+            "expected --landmarks and --touches; or, without --landmarks, --negate-xy "
+            "and --landmarks-only, --transform, --transform-from slicer or itk, whose "
+            "files hold a motion and its inverse, and --transform-std, its deviation "
+            "at the patient in mm; see docs/how-to/segmentations.md"
+        )
     else:
-        rough, residuals, model_m = _fit_by_landmarks(touched, options)
-        if options.landmarks_only:
-            touches_m = touches_m[:0]
-        elif len(touches_m) < MIN_TOUCHES:
-            raise CommandError(
-                f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or "
-                "more; --landmarks-only goes without, by the landmarks alone"
-            )
-        labels = case_of_plan(place).labels
-        skin = labels.skin()
-        names = [one.name for one in residuals]
-        touched_m = rough.to_model(touches_m)
+        motion = anatomy.read_transform(str(transform), transform_from)
+        std_m = M_PER_MM * transform_std_mm
+        fit = _fit_of_transform(fields, motion.rotation, motion.translation_m, std_m)
+    labels = case_files.case_of_plan(place).labels
+    skin = labels.skin()
+    if transform is None:
+        touched_m = fit.to_model(touches_m)
         entry_m = np.array(fields["entry_m"])
-        shown = require_lps(model_m, skin, names, touches_m=touched_m, entry_m=entry_m)
+        shown = anatomy.require_lps(
+            model_m, skin, names, touches_m=touched_m, entry_m=entry_m
+        )
         warn([*shown, *_doubts(residuals)])
-        fit = rough
-        if not options.landmarks_only:
+        if len(touches_m):
             with progress_bar("fitting the touches to the skin"):
-                fit = fit_surface(
+                fit = anatomy.fit_surface(
                     skin,
                     touches_m,
-                    rough,
-                    touch_std_m=M_PER_MM * options.touch_std,
-                    softness_m=M_PER_MM * options.softness,
+                    fit,
+                    touch_std_m=M_PER_MM * touch_std_mm,
+                    softness_m=M_PER_MM * softness_mm,
                 )
     distances_m = _skin_distances_m(fit, skin, touches_m)
-    motion_m = M_PER_MM * options.motion
-    added = _fit_fields(fields, fit, residuals, distances_m, motion_m)
+    if transform is not None:
+        expected_m = M_PER_MM * float(np.hypot(transform_std_mm or 0.0, touch_std_mm))
+        _require_touched_skin(distances_m, expected_m)
+    added = _fit_fields(fields, fit, residuals, distances_m, M_PER_MM * motion_mm)
     rows = _rows(fit, residuals, distances_m, added)
-    write_out(f"{aligned(rows.items())}{NOT_MEDICAL}\n")
+    write_out(f"{aligned(rows.items())}{case_files.NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
     folder = place if place.is_dir() else place.parent
     moved = {
-        key: relative_path(folder / fields[key], output.parent)
+        key: case_files.relative_path(folder / fields[key], output.parent)
         for key in ("ct", "labels", "structures")
         if isinstance(fields.get(key), str) and fields[key]
     }
-    write_plan_fields(output, {**fields, **added, **moved})
+    case_files.write_plan_fields(output, {**fields, **added, **moved})
     write_out(f"{output}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
 
 
-def _require_mm(option: str, value_mm: float, low: float = 0.0) -> None:
-    """Refuse a length that is too small, or not in millimetres.
-
-    Raises:
-        CommandError: It is.
-    """
-    if not low <= value_mm < MAX_STD_mm:
+def _require_touches(touches_m: Array, *, landmarks_only: bool) -> Array:
+    """Return the touches of the skin that are used; refuse too few, unless none is."""
+    if not landmarks_only and len(touches_m) < MIN_TOUCHES:
         raise CommandError(
-            f"{option} {value_mm:g}: expected millimetres, from {low:g} to "
-            f"{MAX_STD_mm:g}"
+            f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or more; "
+            "--landmarks-only goes without, by the landmarks alone"
         )
+    return touches_m[:0] if landmarks_only else touches_m
 
 
-def _fit_by_landmarks(
-    touched: TouchFile, options: RegisterOptions
-) -> tuple[Registration, list[LandmarkResidual], Array]:
-    """Return the fit of the landmarks that were touched, and their places in the CT."""
-    if options.touches is None or options.landmarks is None:
-        raise CommandError("expected --landmarks and --touches, or --transform")
-    markup = read_markup(options.landmarks)
+def _places_of(names: Sequence[str], landmark_file: Path, *, negate_xy: bool) -> Array:
+    """Return the places in the CT of landmarks that were touched, shape (n, 3)."""
+    markup = read_markup(landmark_file)
     place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
-    names = [one.name for one in touched.landmarks]
     if len({*names}) < len(names) or not place_by_name.keys() >= {*names}:
         raise CommandError(
-            f"{options.touches} has landmarks {', '.join(names)}: expected each once, "
-            f"of those in {options.landmarks}: {', '.join(markup.names)}"
+            f"landmarks {', '.join(names)} were touched: expected each once, of those "
+            f"in {landmark_file}: {', '.join(markup.names)}"
         )
-    model_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
-    if options.negate_xy:
-        model_m = model_m * RAS_TO_LPS
-    robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
-    std_m = M_PER_MM * options.landmark_std
-    fit = fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=True)
-    return fit, judge_landmarks(model_m, robot_m, std_m, names), model_m
+    places_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
+    return places_m * RAS_TO_LPS if negate_xy else places_m
+
+
+def _fit_of_transform(
+    fields: Mapping[str, Any], rotation: Array, translation_m: Array, std_m: float
+) -> Registration:
+    """Return the registration of a transform with one deviation at the patient."""
+    ends_m = np.array([fields["entry_m"], fields["target_m"]]) @ rotation.T
+    ends_m = ends_m + translation_m
+    path = PlannedPath.of_std(ends_m[0], ends_m[1], std_m)
+    return Registration(
+        rotation=rotation,
+        translation_m=translation_m,
+        covariance=path.covariance,
+        pivot_m=path.pivot_m,
+        degrees=np.inf,
+        residual_rms_m=np.nan,
+    )
 
 
 def _doubts(residuals: Sequence[LandmarkResidual]) -> Iterator[str]:
@@ -184,54 +199,20 @@ def _doubts(residuals: Sequence[LandmarkResidual]) -> Iterator[str]:
         )
 
 
-def _fit_of_transform(
-    fields: Mapping[str, Any], options: RegisterOptions
-) -> Registration:
-    """Return the registration of a transform with one deviation at the patient."""
-    if options.transform_from is None or options.transform_std is None:
-        raise CommandError(
-            "--transform needs --transform-from slicer or itk, whose files hold a "
-            "motion and its inverse, and --transform-std, its deviation at the "
-            "patient along each axis in mm; see docs/how-to/segmentations.md"
-        )
-    _require_mm("--transform-std", options.transform_std, 1e-3)
-    if options.landmarks or options.negate_xy or options.landmarks_only:
-        raise CommandError(
-            "--transform stands in place of --landmarks: leave that, --negate-xy and "
-            "--landmarks-only out"
-        )
-    motion = read_transform(str(options.transform), options.transform_from)
-    ends_m = np.array([fields["entry_m"], fields["target_m"]]) @ motion.rotation.T
-    ends_m = ends_m + motion.translation_m
-    path = PlannedPath.of_std(ends_m[0], ends_m[1], M_PER_MM * options.transform_std)
-    return Registration(
-        rotation=motion.rotation,
-        translation_m=motion.translation_m,
-        covariance=path.covariance,
-        pivot_m=path.pivot_m,
-        degrees=np.inf,
-        residual_rms_m=np.nan,
-    )
-
-
-def _require_touched_skin(
-    fit: Registration, skin: Surface, touches_m: Array, options: RegisterOptions
-) -> None:
+def _require_touched_skin(distances_m: Array, expected_m: float) -> None:
     """Refuse touches of the skin that contradict a transform."""
     # Touches further from the skin than so many standard deviations do.
     max_stds = 3.0
-    if not len(touches_m):
+    if not len(distances_m):
         say("warning: the transform was not checked: --touches FILE checks it")
         return
-    distances_m = _skin_distances_m(fit, skin, touches_m)
-    rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
-    expected_mm = float(np.hypot(options.transform_std or 0.0, options.touch_std))
-    if rms_mm > max_stds * expected_mm:
+    rms_m = float(np.sqrt((distances_m**2).mean()))
+    if rms_m > max_stds * expected_m:
         raise RegistrationError(
-            f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
-            f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
-            "--touch-std: it is the inverse (--transform-from), in other axes, of "
-            "another patient, or less accurate than stated"
+            f"the touches lie {rms_m / M_PER_MM:.1f} mm (rms) from the skin under this "
+            f"transform, and {expected_m / M_PER_MM:.1f} mm are expected by "
+            "--transform-std and --touch-std: it is the inverse (--transform-from), in "
+            "other axes, of another patient, or less accurate than stated"
         )
 
 
@@ -311,24 +292,25 @@ def _rows(
     quantile = 3.0 * fdtri(3, place["degrees"], level)
     half_axes_m2 = np.maximum(np.linalg.eigvalsh(covariance)[::-1], 0.0) * quantile
     region_mm = np.sqrt(half_axes_m2) / M_PER_MM
-    rows["target in the robot's base"] = (
-        f"{', '.join(f'{value:.1f}' for value in target_mm)} mm"
-    )
-    rows["expected error at the target"] = (
-        f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms"
-    )
-    rows["it lies with 95 % within"] = (
-        f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)"
-    )
-    rows["layers along the needle"] = (
-        f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, with "
-        f"the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)"
-    )
-    return rows
+    return rows | {
+        "target in the robot's base": (
+            f"{', '.join(f'{value:.1f}' for value in target_mm)} mm"
+        ),
+        "expected error at the target": (
+            f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms"
+        ),
+        "it lies with 95 % within": (
+            f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)"
+        ),
+        "layers along the needle": (
+            f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, "
+            f"with the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)"
+        ),
+    }
 
 
 def _require_clear_path(
-    fields: Mapping[str, Any], labels: Labels, fit: Registration
+    fields: Mapping[str, Any], labels: anatomy.Labels, fit: Registration
 ) -> None:
     """Refuse what `live` would: obstacles nearer than this registration asks for.
 
@@ -339,11 +321,11 @@ def _require_clear_path(
     """
     ends_m = np.array([fields["entry_m"], fields["target_m"]])
     std_m = fit.largest_std_m(ends_m)
-    space = FreeSpace(fields["needle_radius_m"], fields["margin_m"], std_m)
+    space = anatomy.FreeSpace(fields["needle_radius_m"], fields["margin_m"], std_m)
     accepted = fields.get("accepted_obstacles", ())
     clearances = labels.clearances(*ends_m)
     try:
-        require_clear_path(clearances, space, accepted)
+        anatomy.require_clear_path(clearances, space, accepted)
     except PlanError as error:
         raise PlanError(
             f"{error}. This registration has a std of up to {std_m / M_PER_MM:.2f} mm: "

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy.markups import Markup, read_markup
 from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
@@ -19,13 +19,8 @@ from needleforce.cli.arms.arm_connection import (
     open_arm,
     samples_until_stopped,
 )
-from needleforce.cli.patient.case_files import (
-    case_of_plan,
-    read_plan_fields,
-    write_plan_fields,
-)
-from needleforce.cli.patient.options import TouchOptions
-from needleforce.cli.shared_options import ArmOptions, RobotOptions
+from needleforce.cli.options import ArmOptions, RobotOptions
+from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
 from needleforce.devices import LinkError
 from needleforce.recordings.output import require_place
@@ -37,64 +32,62 @@ from urdf import Robot
 def record_touches(
     arm_name: str,
     output: Path,
-    wish: TouchOptions,
     options: ArmOptions,
     robot: RobotOptions,
+    *,
+    landmarks: Path | None,
+    count: int,
+    contact_N: float,
 ) -> int:
     """Write what the needle's tip touches into a file.
 
     Args:
         arm_name: The arm as the command line names it.
         output: The file.
-        wish: What is touched.
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
+        landmarks: Points of the CT, which are touched first.
+        count: Of the touches of the skin after them.
+        contact_N: Least force of a contact.
 
     Returns:
         The exit code.
 
     Raises:
-        CommandError: A number cannot be, nothing was touched, or the arm sends no
-            torques.
+        CommandError: Nothing was touched, or the arm sends no torques.
     """
-    if wish.count < 0 or not wish.contact > 0.0:
-        raise CommandError(
-            f"--count {wish.count}, --contact {wish.contact:g}: expected none or more, "
-            "and a positive force"
-        )
     require_place(output)
-    markup = None if wish.landmarks is None else read_markup(wish.landmarks)
-    names = () if markup is None else markup.names
-    points_m = np.zeros((0, 3)) if markup is None else markup.points_m
+    wanted = Markup((), np.zeros((0, 3)))
+    if landmarks is not None:
+        wanted = read_markup(landmarks)
+    names = wanted.names
     places_m: list[Array] = []
     lost: LinkError | None = None
-    with _open_touching_arm(arm_name, robot, options, points_m) as (arm, model):
+    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as (arm, model):
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
-            for touch in _touches(arm, model, options, wish.contact):
+            for touch in _touches(arm, model, options, contact_N):
                 say(f"{_take(touch, places_m)}{_next(names, places_m)}")
-                if len(places_m) >= len(names) + wish.count:
+                if len(places_m) >= len(names) + count:
                     break
         except LinkError as error:
             lost = error
     if lost is None and not places_m:
         raise CommandError(
-            f"nothing was touched: the force never rose by {wish.contact:g} N while "
-            "the tip rested for a second",
+            f"nothing was touched: the force never rose by {contact_N:g} N while the "
+            "tip rested for a second",
             CHECK_ARM,
         )
     places = [tuple(place_m.tolist()) for place_m in places_m]
-    landmarks = [
-        {"name": name, "place_m": place_m}
-        for name, place_m in zip(names, places, strict=False)
-    ]
-    touches_m = places[len(names) :]
-    write_plan_fields(
-        output, {"version": 1, "landmarks": landmarks, "touches_m": touches_m}
+    touched = case_files.TouchFile(
+        version=1,
+        landmarks=tuple(map(case_files.LandmarkTouch, names, places)),
+        touches_m=tuple(places[len(names) :]),
     )
+    case_files.write_plan_fields(output, touched)
     say(
-        f"{len(landmarks)} of {len(names)} landmarks and {len(touches_m)} touches of "
-        f"the skin in {output}"
+        f"{len(touched.landmarks)} of {len(names)} landmarks and "
+        f"{len(touched.touches_m)} touches of the skin in {output}"
     )
     if lost is not None:
         raise lost
@@ -132,9 +125,10 @@ def _open_touching_arm(
     """
     kind, _, plan = name.partition(":")
     if kind == "sim" and plan.endswith(".json"):
-        labels = case_of_plan(Path(plan)).labels
+        labels = case_files.case_of_plan(Path(plan)).labels
+        fields = case_files.read_plan_fields(Path(plan))
         with progress_bar("simulating"):
-            touching = touch_patient(read_plan_fields(Path(plan)), labels, landmarks_m)
+            touching = touch_patient(fields, labels, landmarks_m)
         yield ConnectedArm(touching.arm, touching.robot)
         return
     with open_arm(name, robot, options.motor_constants) as connected:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from needleforce.cli.arms.arm_watch import describe_values
-from needleforce.cli.logs.plan_found import plan_result
+from needleforce.cli.logs.plan_found import add_place_on_plan
+from needleforce.cli.logs.result import Result
 from needleforce.control.monitors import Monitors, SafetyLimits
 from needleforce.control.state_machine import State
 from needleforce.needle_on_plan import (
@@ -131,8 +132,9 @@ def test_live_scene_report_json_and_ros_say_the_same(
         assert text in card
     assert ("TOO NEAR: " in card) is bool(too_near)
 
-    found = plan_result("log", deepest=deviation, nearest=clearances, off_fraction=0.0)
-    assert any(too_near in text for text in ["", *found.warnings])
+    found = Result(log="log", title="Plan")
+    doubts = add_place_on_plan(found, deviation, clearances, 0.0)
+    assert any(too_near in text for text in ["", *doubts])
     assert any(describe_deviation(deviation) in text for text in found.sentences)
     assert f'"verdict": "{verdict}"'.encode() in found.files["needle_on_plan.json"]
 

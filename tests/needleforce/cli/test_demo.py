@@ -7,7 +7,6 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.cli.demos import insertion
-from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import simulated
 
 pytestmark = pytest.mark.slow
@@ -86,24 +85,12 @@ def test_a_missing_package_is_named_before_anything_is_done(
     assert "pip install 'needleforce[demo]'" in line
 
 
-@pytest.mark.parametrize("option", [["--seed", "-1"], ["--report", "taken"]])
-def test_what_cannot_be_is_refused_before_the_work(
-    capsys, monkeypatch, tmp_path, option
+def test_a_place_that_is_taken_is_refused_before_the_work(
+    capsys, monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
     monkeypatch.setattr(insertion, "demonstrate", lambda seed: pytest.fail("worked"))
 
-    assert main(["demo", *option]) == 2
-    assert option[1] in capsys.readouterr().err
-
-
-@needs_chromium
-@pytest.mark.parametrize("size", [(1280, 900), PHONE])
-def test_the_page_fits_the_window(demo, size):
-    found = measured(demo[1], size)
-
-    assert logged(demo[1]) == []
-    assert found["content"] <= size[0]
-    assert found["wide"] == []
-    assert all(height > 100 for height in found["images"])
+    assert main(["demo", "--report", "taken"]) == 2
+    assert "taken" in capsys.readouterr().err

@@ -39,6 +39,8 @@ FILES = {
     "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "three.toml": "payload = 3",
     "sub/map.toml": 'payload = "heavy.toml"',
+    "depth.csv": "t_s,depth_m,force_N\n0,0,0\n1,0.001,1\n",
+    "no_plan.json": "{",
 }
 
 LOGS = {
@@ -50,6 +52,7 @@ LOGS = {
     "early.npz": "--tare START:END",
     "milli.npz": "tared",
     "six.csv": "6 columns",
+    "nan.npz": "joint 1",
 }
 
 OPTIONS = {
@@ -71,8 +74,6 @@ OPTIONS = {
     "--lock-others": "--lock-others",
     "--accept-inertia": "--accept-inertia",
     "--gravity 0 0 1": "9.81",
-    "--gravity 0 0 9.81 --mount wall": "say the same",
-    "--mount roof": "roof",
     "--payload missing.toml": "missing.toml",
     "--payload broken.toml": "broken.toml",
     "--payload blank.toml": "blank.toml",
@@ -121,12 +122,15 @@ USAGE = {
     "identify good.csv": "depth",
     "report good.csv": "DIR",
     "report - page": "pipe",
+    "report depth.csv page --plan no_plan.json": "joint positions",
+    "report good.csv page --plan no_plan.json": "no_plan.json",
     "report missing.csv new/page": "missing.csv",
     "report good.csv arm.urdf/page": "cannot write",
     "report good.csv page --tare 0:60": "1.199 s",
     "live nao": "nao",
     "lag nao --yes": "nao",
     "demo --data ct": "abdomen",
+    "demo --seed -1": "--seed",
     "simulate torso -o x --plant fri": "--plant",
     "simulate torso -o x --truth y": "--truth",
     "simulate p.json -o x.csv --seed 1": "--seed",
@@ -135,7 +139,7 @@ USAGE = {
     "simulate -o x.csv": "--list",
     "simulate gel-26 -o x.csv": "gel-26",
     "simulate gel-25-constant -o x.xyz": "x.xyz",
-    "simulate gel-25-constant -o x.csv --seed -1": "--seed -1",
+    "simulate gel-25-constant -o x.csv --seed -1": "--seed",
     "simulate gel-25-constant -o x.csv --truth x.csv": "--truth",
     "simulate gel-25-constant -o good.csv": "exists",
     "view good.csv --export x.htm": ".html",
@@ -158,6 +162,9 @@ def folder(lwr, tmp_path_factory):
     write_insertion(folder / "no_torque.csv", lwr, seconds=0.1, only=("t_s", "q_rad"))
     columns = {"t_s": [0.0, 0.001], "q_rad": [[0.0] * 6] * 2, "tau_Nm": [[0.0] * 6] * 2}
     write_table(folder / "six.csv", columns)
+    columns = insertion(lwr, seconds=0.1)
+    columns["q_rad"][:, 0] = np.nan
+    write_table(folder / "nan.npz", columns)
     (folder / "sub").mkdir()
     for name, text in FILES.items():
         (folder / name).write_text(text)
@@ -199,7 +206,7 @@ def test_missing_matplotlib_is_refused_before_the_work(monkeypatch, capsys, argv
         return before(name, *more, **named)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    monkeypatch.setattr("needleforce.cli.logs.replay.has_channels", lambda *_: False)
+    monkeypatch.setattr("needleforce.cli.logs.columns.has_channels", lambda *_: False)
 
     assert "matplotlib" in refusal(argv, capsys)
 

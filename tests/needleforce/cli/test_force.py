@@ -233,16 +233,6 @@ def test_figure_is_written_for_every_mode(
     assert len(content) > 5_000
 
 
-def test_a_joint_without_a_number_is_refused(lwr, tmp_path, capsys):
-    columns = insertion(lwr, seconds=0.1)
-    columns["q_rad"][:, 0] = np.nan
-    log = tmp_path / "log.npz"
-    write_table(log, columns)
-
-    assert main(["force", str(log), "--no-tare"]) == 2
-    assert "joint 1" in capsys.readouterr().err
-
-
 def check(tmp_path, capsys, columns, *options):
     """Exit code of `check`, and what it prints as JSON."""
     log = str(tmp_path / "log.npz")

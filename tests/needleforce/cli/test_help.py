@@ -1,23 +1,21 @@
 """What `--help` lists works: arms, units, robots and defaults are those of the code."""
 
 import re
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
+from inspect import signature
 
 import pytest
 
-from needleforce.cli import main, shared_options
-from needleforce.cli.patient import options
+from needleforce.cli import commands, main, options
 from needleforce.recordings.channels import CHANNELS
-from needleforce.sensor_replay import AUTOMATIC_TARE_S
+from needleforce.session_replay import AUTOMATIC_TARE_S
 from residual import DEFAULT
 from urdf import load_example
 
-FILES = (shared_options, options)
-OPTIONS = {
-    kind.__name__: kind
-    for file in FILES
-    for kind in vars(file).values()
-    if is_dataclass(kind) and "Attributes:" in (kind.__doc__ or "")
+COMMANDS = {
+    name.removesuffix("_command"): value
+    for name, value in vars(commands).items()
+    if name.endswith("_command")
 }
 
 
@@ -38,15 +36,22 @@ def test_every_arm_is_listed(command, capsys):
 
 def attributes_of(kind):
     """Text of each field of a class, in its docstring."""
-    listed = kind.__doc__.split("Attributes:")[1]
+    listed = kind.__doc__.partition("Attributes:")[2]
     found = re.findall(r"^ {8}(\w+): (.*(?:\n {12}.*)*)", listed, re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in found}
 
 
-@pytest.mark.parametrize("kind", OPTIONS.values(), ids=OPTIONS)
-def test_defaults_that_are_stated_are_those_of_the_code(kind):
-    defaults = {item.name: item.default for item in fields(kind)}
-    for name, text in attributes_of(kind).items():
+@pytest.mark.parametrize("command", COMMANDS)
+def test_defaults_that_are_stated_are_those_of_the_code(command):
+    parameters = signature(COMMANDS[command]).parameters.values()
+    defaults = {each.name: each.default for each in parameters}
+    texts = re.findall(
+        r"^ {8}(\w+): (.*(?:\n {12}.*)*)", COMMANDS[command].__doc__, re.M
+    )
+    for value in [each for each in defaults.values() if is_dataclass(each)]:
+        defaults |= vars(value)
+        texts += attributes_of(type(value)).items()
+    for name, text in texts:
         for stated in re.findall(r"default: (-?[\d.]*\d)(?![\d ]*,? \d)", text):
             if isinstance(defaults[name], int | float):
                 assert defaults[name] == float(stated), name
@@ -59,11 +64,9 @@ def test_defaults_of_the_sensor_are_those_of_its_config(capsys):
     assert f"the first {AUTOMATIC_TARE_S:g} s after the filters have settled" in text
 
 
-@pytest.mark.parametrize(
-    "kind", [shared_options.JointColumns, shared_options.DepthColumns]
-)
+@pytest.mark.parametrize("kind", [options.JointColumns, options.DepthColumns])
 def test_units_that_are_listed_are_read(kind):
-    listed = attributes_of(shared_options.Columns) | attributes_of(kind)
+    listed = attributes_of(options.Columns) | attributes_of(kind)
     checked = 0
     for name in listed.keys() & CHANNELS.keys():
         for units in re.findall(r"\(([^()]*)\)\.?", listed[name])[:1]:
@@ -75,7 +78,7 @@ def test_units_that_are_listed_are_read(kind):
 
 
 def test_robots_that_are_listed_exist():
-    text = attributes_of(shared_options.RobotOptions)["robot"].replace("lwr (", "")
+    text = attributes_of(options.RobotOptions)["robot"].replace("lwr (", "")
     names = re.findall(r"\b(panda|ur\w+|xarm7)\b", text)
 
     assert len(names) == 7

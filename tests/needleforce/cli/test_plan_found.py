@@ -88,25 +88,3 @@ def test_a_needle_beyond_the_target_is_not_on_plan(log, capsys):
     assert "PAST THE TARGET" in err
     assert "on plan" not in out
     assert state["verdict"] == "past target"
-
-
-@pytest.mark.parametrize(
-    ("log_text", "plan_text", "word"),
-    [
-        ("t_s,depth_m,force_N\n0,0,0\n1,0.001,1\n", "", "joint positions"),
-        (None, "{", "plan.json"),
-        (None, "{}", "plan.json"),
-    ],
-)
-def test_what_cannot_be_compared_is_refused(
-    log, tmp_path, capsys, log_text, plan_text, word
-):
-    (tmp_path / "plan.json").write_text(plan_text)
-    if log_text is not None:
-        log = tmp_path / "log.csv"
-        log.write_text(log_text)
-    argv = ["report", str(log), str(tmp_path / "b"), "--plan", str(tmp_path)]
-
-    assert main(argv) == 2
-    assert word in capsys.readouterr().err
-    assert not (tmp_path / "b").exists()

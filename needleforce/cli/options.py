@@ -1,24 +1,78 @@
-"""Options that several commands take, or that what they call takes whole.
+"""The application `needleforce`, and the options that several commands take.
 
 Frozen dataclasses from which cyclopts builds the parser; the text of a field in its
 class's `Attributes:` is its help.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import App, Group, Parameter
 
-from needleforce.cli.application import (
-    COLUMNS,
-    LIVE_OUTPUT,
-    LOG,
-    OUTPUT,
-    ROBOT,
-    SENSOR,
-    TARE,
+LOGS = Group("A log: force, layers, pages", sort_key=1)
+ARMS = Group("An arm", sort_key=2)
+PATIENT = Group("A patient: from a CT to a registered plan", sort_key=3)
+MACHINE = Group("This machine", sort_key=4)
+
+LOG = Group("Input", sort_key=1)
+OUTPUT = Group(
+    "Output", help="What is written; without any, a summary alone.", sort_key=2
 )
+LIVE_OUTPUT = Group("Output", sort_key=2)
+"""Output of the commands that do not print a summary alone."""
+ROBOT = Group("Robot", sort_key=3)
+SENSOR = Group("Sensor", sort_key=4)
+TARE = Group("Tare", sort_key=5)
+COLUMNS = Group(
+    "Columns",
+    help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names "
+    "separated by commas; a unit and a factor may follow, as in z:mm or fz:N:-1. What "
+    "is not given is found by its usual names.",
+    sort_key=6,
+)
+
+
+app = App(
+    name="needleforce",
+    help="Needle-tip force from a robot's joint torques, and the layers that the "
+    "needle passes.\n\nBegin with `needleforce demo` (a simulated insertion), "
+    "`needleforce force LOG` (an arm's log) or `needleforce identify LOG` (depth and "
+    "force).",
+    default_parameter=Parameter(negative=(), show_default=False),
+    help_format="markdown",
+    version_flags=["--version"],
+    group_parameters=LOG,
+    group_arguments=LOG,
+)
+app.register_install_completion_command(
+    help="Install completion for bash, zsh or fish."
+)
+
+Direction = tuple[float, float, float]
+"""A vector along x, y, z."""
+
+
+def between(low: float, high: float) -> Callable[[Any, float | None], None]:
+    """Return a validator of an option's number; no number (nan) is between none."""
+
+    def check(_kind: Any, value: float | None) -> None:
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"expected {low:g} to {high:g}")
+
+    return check
+
+
+Seed = Annotated[
+    int,
+    Parameter(
+        metavar="N",
+        validator=between(0, 2**63),
+        help="Of everything that is drawn at random (default: 0).",
+    ),
+]
 
 Source = Annotated[
     str,
@@ -31,6 +85,13 @@ Source = Annotated[
     ),
 ]
 
+TareSeconds = Annotated[
+    float, Parameter(metavar="S", group=TARE, validator=between(1e-3, 1e6))
+]
+"""Motion without contact before the tare of a session [s]."""
+
+Port = Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)]
+"""Port of the scene's page."""
 
 _COLUMN = Parameter(metavar="COLUMNS")
 
@@ -98,9 +159,6 @@ class AllColumns(JointColumns, DepthColumns):
     """Channels of `report`."""
 
 
-TARE_S = 4.0
-"""Motion without contact before the tare of a session, without ``--tare`` [s]."""
-
 Over = Literal["time", "depth"]
 
 
@@ -126,10 +184,6 @@ class Output:
     over: Over = "time"
 
 
-Direction = tuple[float, float, float]
-"""A vector along x, y, z."""
-
-
 @Parameter(name="*", group=ROBOT)
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
@@ -153,9 +207,8 @@ class RobotOptions:
         accept_inertia: With --urdf: go on although moving links have no inertia, or one
             that no rigid body has, with a warning in every result.
         gravity: Gravity in the axes of the robot's base [m/s^2] (default: 0 0 -9.80665,
-            a base that stands upright).
-        mount: How the base is mounted, instead of --gravity: wall (its x axis points
-            down) or ceiling.
+            a base that stands upright; 0 0 9.81 for one on the ceiling, 9.81 0 0 for
+            one on a wall, its x axis down).
         payload: What is on the flange: a TOML file; the published 304 g force sensor
             and needle (default of the LWR); or nothing (default of other robots). It
             overrides the mapping.
@@ -174,13 +227,17 @@ class RobotOptions:
     lock_others: Annotated[bool, Parameter(negative="")] = False
     accept_inertia: Annotated[bool, Parameter(negative="")] = False
     gravity: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
-    mount: Literal["wall", "ceiling"] | None = None
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
 
-    def __post_init__(self) -> None:
-        # In `urdf` the arm is called lwr4plus, where it has nothing on the flange.
-        if self.robot == "lwr4plus":
-            object.__setattr__(self, "robot", "lwr")
+    @property
+    def is_named(self) -> bool:
+        """Whether the options name a robot."""
+        return self.robot is not None or self.urdf is not None
+
+    @property
+    def is_lwr(self) -> bool:
+        """Whether the robot is the known LWR 4+, as without a name."""
+        return self.urdf is None and self.robot in (None, "lwr", "lwr4plus")
 
 
 @Parameter(name="*", group=SENSOR)
@@ -299,101 +356,9 @@ class ArmOptions:
             UR sends no torques (docs/how-to/your-robot.md).
     """
 
-    seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
+    seconds: Annotated[
+        float, Parameter(metavar="S", validator=between(1e-3, math.inf))
+    ] = math.inf
     motor_constants: Annotated[
         MotorConstants | None, Parameter(metavar="K1 ... K6")
     ] = None
-
-
-@Parameter(name="*", group=LOG)
-@dataclass(frozen=True, kw_only=True)
-class ViewOptions:
-    """What is shown beside a recording, and where.
-
-    Attributes:
-        anatomy: Plan (plan.json, or its folder) with labels.nii.gz (or .nrrd,
-            .seg.nrrd): see docs/how-to/scene.md.
-        situs_inversus: Liver and spleen of this patient are exchanged.
-        mapping: TOML file that says which columns are which, as `needleforce force
-            --print-config` writes.
-        tare: Tare after so many seconds of motion without contact (default: 4); if it
-            is refused, again after as many.
-        export: Write the scene as one page (.html) with the insertion as a film, and
-            end.
-        port: Port of the page, on this machine alone (default: 8080); another is used
-            if it is busy.
-    """
-
-    anatomy: Annotated[
-        Path | None, Parameter(name=("--anatomy", "--plan"), metavar="DIR|FILE")
-    ] = None
-    situs_inversus: Annotated[bool, Parameter(negative="")] = False
-    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
-    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
-    export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None
-    port: Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)] = 8080
-
-
-@Parameter(name="*", group=LIVE_OUTPUT)
-@dataclass(frozen=True, kw_only=True)
-class WatchOptions:
-    """What an arm is watched with.
-
-    Attributes:
-        plan: Plan to match ruptures with (plan.json, or its folder): see
-            docs/how-to/scene.md.
-        situs_inversus: Liver and spleen of the plan's patient are exchanged.
-        reference: ATI Net F/T between flange and tool: its axial force, and the rms
-            difference since the tare, are shown next to the estimate.
-        reference_axis: Direction of insertion in that sensor's axes (default: 0 0 1).
-        view: Serve the scene as a browser page beside the session.
-        port: Port of that page (default: 8080); another is used if it is busy.
-        tare: Tare after so many seconds of motion without contact (default: 4); if it
-            is refused, again after as many.
-        tare_stroke: Move the arm and tare from that, before anything else: it draws the
-            needle back by so many mm and returns. It asks first.
-        tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 0; 8 is slow enough).
-        yes: Move the arm without asking.
-    """
-
-    plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
-    situs_inversus: Annotated[bool, Parameter(negative="", group=LOG)] = False
-    reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
-    reference_axis: Annotated[Direction, Parameter(metavar="X Y Z", group=LOG)] = (
-        0.0,
-        0.0,
-        1.0,
-    )
-    view: Annotated[bool, Parameter(negative="")] = False
-    port: Annotated[int, Parameter(metavar="N")] = 8080
-    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
-    tare_stroke: Annotated[float | None, Parameter(metavar="MM", group=TARE)] = None
-    tare_swivel: Annotated[float, Parameter(metavar="DEGREES", group=TARE)] = 0.0
-    yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
-
-
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
-class SimulationOptions:
-    """What is simulated, and where it goes.
-
-    Attributes:
-        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
-        truth: Ground truth, which the robot does not know: forces, depth, layers,
-            ruptures.
-        plant: Plant model: how good arm and sensors are (default: clean); or needle, a
-            needle on a linear stage with its force sensor, without an arm.
-        seed: Seed of everything that is drawn at random (default: 0).
-        overwrite: Replace files that are there.
-        list: Print the scenarios and stop.
-    """
-
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
-    ] = None
-    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    plant: Literal["ideal", "clean", "fri", "degraded", "needle"] = "clean"
-    seed: Annotated[int, Parameter(metavar="N")] = 0
-    overwrite: Annotated[bool, Parameter(negative="")] = False
-    list: bool = False
