@@ -60,15 +60,11 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     from_start = gained * per_tick - decay
     from_end = 1.0 + decay - 2.0 * gained * per_tick
     factors = np.zeros((3, ROWS))
-    factors[0, FIRST_LAG] = decay
-    factors[0, INPUT_BEFORE] = from_start
-    factors[0, INPUT] = 1.0 - gained * per_tick
-    factors[1, FIRST_LAG] = decay * tick
-    factors[1, SECOND_LAG] = decay
-    factors[1, INPUT_BEFORE] = 2.0 * from_start - tick * decay
-    factors[1, INPUT] = from_end
-    for k in range(ROWS):
-        factors[2, k] = bandwidth_per_s * (factors[0, k] - factors[1, k])
+    factors[0] = np.array([decay, 0.0, from_start, 1.0 - gained * per_tick])
+    factors[1] = np.array(
+        [decay * tick, decay, 2.0 * from_start - tick * decay, from_end]
+    )
+    factors[2] = bandwidth_per_s * (factors[0] - factors[1])
     return factors
 
 

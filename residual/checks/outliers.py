@@ -418,7 +418,6 @@ class GuardState:
         missed_s: Time for which samples have been held back for a jump.
         stayed_s: Time for which these agree with each other.
         compared_s: Time for which velocities have been compared with positions.
-        still_s: Longest time for which a torque has repeated, or all positions have.
     """
 
     known: Array
@@ -430,7 +429,6 @@ class GuardState:
     missed_s: float = 0.0
     stayed_s: float = 0.0
     compared_s: float = 0.0
-    still_s: float = 0.0
 
 
 class FaultDetector:
@@ -593,17 +591,20 @@ class FaultDetector:
             self.memory.known[GATE, -joints:],
         )
 
-    def accept(self, rows: Array, velocity: Array, dt_s: float) -> None:
+    def accept(self, rows: Array, velocity: Array, dt_s: float) -> bool:
         """Remember the sample that was last checked, which has been used.
 
         Args:
             rows: The sample, as of `check`.
             velocity: Its joint velocity, measured or estimated [rad/s], shape (n,).
             dt_s: Time since the one before; 0 for the first sample.
+
+        Returns:
+            Whether signals have not changed for a while: see `stale_signals`.
         """
         memory = self.memory
         signals = rows.ravel()
-        memory.still_s = accept_step(
+        still_s = accept_step(
             signals,
             velocity,
             memory.known,
@@ -621,6 +622,7 @@ class FaultDetector:
             samples = memory.probe.add(signals, dt_s)
             if samples is not None:
                 self._learn(samples, LEARNING_S - memory.probe.left_s)
+        return still_s >= MIN_ALONE_S
 
     def _learn(self, samples: Array, seconds: float) -> None:
         """Learn noise and resolution of the first samples, shape (m, size).
@@ -666,34 +668,28 @@ class FaultDetector:
         alone_s = max(MIN_ALONE_S, stuck_ratio * usual_s[1])
         memory.alone_s = np.where(has_noise, alone_s, np.inf)
 
-    @property
-    def seems_stale(self) -> bool:
-        """Whether signals have not changed for a while: see the next two."""
-        return self.memory.still_s >= MIN_ALONE_S
+    def stale_signals(self) -> tuple[str, str]:
+        """Return which accepted signals seem frozen, and which torques may be missing.
 
-    @property
-    def warning(self) -> str:
-        """Which accepted signals seem frozen, in words; empty if none."""
+        In words; empty if none. Those that may be missing do not change.
+        """
         memory = self.memory
         joints = memory.joints.shape[1]
         still_s = memory.known[STILL]
+        frozen = ""
         stuck = np.flatnonzero(still_s[-joints:] >= memory.alone_s)
         if stuck.size:
-            return f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
-        if still_s[:-joints].min() > memory.stuck_s[0]:
-            return "q and dq of all joints still repeat bit for bit: does the arm rest?"
-        return ""
-
-    @property
-    def question(self) -> str:
-        """Which torques may be missing, as they do not change; empty if none."""
-        joints = self.memory.joints.shape[1]
-        still = np.flatnonzero(self.memory.known[STILL, -joints:] >= 1.0)
-        if not still.size:
-            return ""
-        return (
-            f"tau at {named_joints(still)} has not changed for a second: is it stale?"
-        )
+            frozen = f"tau at {named_joints(stuck)} repeats: check its sensor"
+        elif still_s[:-joints].min() > memory.stuck_s[0]:
+            frozen = "q and dq of all joints still repeat: does the arm rest?"
+        question = ""
+        still = np.flatnonzero(still_s[-joints:] >= 1.0)
+        if still.size:
+            question = (
+                f"tau at {named_joints(still)} has not changed for a second: is it "
+                "stale?"
+            )
+        return frozen, question
 
 
 def longest_repeat(rows: Array) -> int:
