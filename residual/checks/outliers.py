@@ -384,26 +384,6 @@ def accept_step(
     return max(known[STILL, first_torque:].max(), held_s)
 
 
-def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
-    """Return whether a plausible force on the tool explains a jump of the torques.
-
-    Args:
-        jacobian: Of the tool's linear velocity, shape (3, n).
-        jump: Of the torques [Nm], shape (n,).
-        scale: Jump that each joint may make without a reason [Nm], shape (n,).
-    """
-    # A rupture is newtons, a contact tens.
-    max_force_N = 100.0
-    # A spike of one joint leaves most of itself.
-    max_unexplained_ratio = 0.35
-    rows = jacobian.T / scale[:, None]
-    scaled_jump = jump / scale
-    force = np.linalg.lstsq(rows, scaled_jump, rcond=None)[0]
-    remaining = np.linalg.norm(scaled_jump - rows.dot(force))
-    is_explained = remaining <= max_unexplained_ratio * np.linalg.norm(scaled_jump)
-    return bool(is_explained and np.linalg.norm(force) <= max_force_N)
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
     """State of a `FaultDetector`.
@@ -581,15 +561,21 @@ class FaultDetector:
         self, has_jumped: NDArray[np.bool_], rows: Array, reference: Array
     ) -> bool:
         """Return whether only torques have jumped, and as by a force on the tool."""
+        # A rupture is newtons, a contact tens.
+        max_force_N = 100.0
+        # A spike of one joint leaves most of itself.
+        max_unexplained_ratio = 0.35
         if has_jumped[:-1].any():
             return False
         joints = rows.shape[1]
+        scale_Nm = self.memory.known[GATE, -joints:]  # jumps without a reason
         self._tool.update(rows[0])
-        return is_contact(
-            self._tool.jacobian[:3],
-            rows[-1] - reference[-joints:],
-            self.memory.known[GATE, -joints:],
-        )
+        levers = self._tool.jacobian[:3].T / scale_Nm[:, None]
+        jump = (rows[-1] - reference[-joints:]) / scale_Nm
+        force_N = np.linalg.lstsq(levers, jump, rcond=None)[0]
+        remaining = np.linalg.norm(jump - levers.dot(force_N))
+        is_explained = remaining <= max_unexplained_ratio * np.linalg.norm(jump)
+        return bool(is_explained and np.linalg.norm(force_N) <= max_force_N)
 
     def accept(self, rows: Array, velocity: Array, dt_s: float) -> bool:
         """Remember the sample that was last checked, which has been used.
