@@ -42,10 +42,6 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     Shapes, materials and extensions are dropped, and so are the links ``without`` with
     all that they carry. The errors of this file are those of `urdf.load_urdf`.
     """
-    if isinstance(without, str):
-        raise InputError(
-            f"without is the string {without!r}, expected a list of link names"
-        )
     file = _parse(_read_text(path), path)
     if file.tag != "robot" or any(part.tag.startswith("xacro:") for part in file):
         raise UrdfFileError(
@@ -68,10 +64,10 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 
 
 def _read_text(path: Path) -> str:
-    """Return the text of a file; single bytes where it is not UTF-8.
+    """Return the text of a file.
 
     Names in a URDF are ASCII; what is not UTF-8 are comments of an exporter, in the
-    code page of its author's machine.
+    code page of its author's machine: they are not read.
     """
     # The largest known description, with meshes' names and sensors of a humanoid, has
     # 0.5 MB.
@@ -82,13 +78,9 @@ def _read_text(path: Path) -> str:
             raise UrdfFileError(
                 f"{path}: is no file, or larger than {max_bytes} bytes", PLAIN_URDF
             )
-        data = path.read_bytes()
+        return path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UrdfFileError(f"{path!s:.200}: cannot be read: {error}") from error
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def _parse(text: str, path: Path) -> Element:
