@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from groundtruth.errors import PlantError, require_non_negative, require_positive
+from groundtruth.errors import PlantError
 
 try:
     import mujoco
@@ -130,12 +130,6 @@ class Trocar:
     point_m: Vector3 = field(default=NO_FORCE, init=False)
     at: str = field(default="tip", init=False)
 
-    def __post_init__(self) -> None:
-        """Raise `PlantError` for a value that is negative or not finite."""
-        require_non_negative(
-            PlantError, self, "behind_tip_m stiffness_N_per_m damping_Ns_per_m"
-        )
-
     def begin(self, motion: PointMotion) -> None:
         """Put the trocar where the needle is now."""
         self.point_m = add(motion.position_m, motion.axis, -self.behind_tip_m)
@@ -177,10 +171,6 @@ class Wall:
     penetration_m: float = field(default=-math.inf, init=False)
     at: str = field(default="tip", init=False)
     _surface: tuple[Vector3, Vector3] = field(default=(NO_FORCE, NO_FORCE), init=False)
-
-    def __post_init__(self) -> None:
-        """Raise `PlantError` for a stiffness or damping that no wall has."""
-        require_non_negative(PlantError, self, "stiffness_N_per_m damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Put the wall across the needle's present direction."""
@@ -228,13 +218,11 @@ class HandOnArm:
     _hold_m: Vector3 = field(default=NO_FORCE, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `PlantError` for an unknown place or an unusable spring."""
+        """Raise `PlantError` for an unknown place."""
         if self.at not in GRIPS:
             raise PlantError(
                 f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}"
             )
-        require_positive(PlantError, self, "stiffness_N_per_m")
-        require_non_negative(PlantError, self, "damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Take hold of the arm where it is now."""
