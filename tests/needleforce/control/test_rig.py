@@ -332,8 +332,6 @@ def test_kinematic_error_displaces_the_true_needle_only():
         (PlantError, lambda: SimulatedArm(latency_s=0.0)),
         (PlantModelError, lambda: SimulatedArm(plant="perfect")),
         (PlantError, lambda: HandOnArm(at="knee")),
-        (PlantError, lambda: Trocar(behind_tip_m=np.nan)),
-        (PlantError, lambda: Wall(distance_m=0.1, stiffness_N_per_m=-1.0)),
         (PlantError, lambda: SimulatedArm(plant=IDEAL).lose("courage", 1.0)),
         (PlantError, lambda: SimulatedArm(plant=IDEAL).tissue_truth()),
     ],
