@@ -207,20 +207,14 @@ def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
     n).
     """
     count, joints = rows.shape
-    form = np.zeros((joints, joints))
     if count >= joints:
-        return form
+        return np.zeros((joints, joints))
     weighted = multiply(rows, precision)
     information = multiply_transposed(weighted, rows)
     inverse, _ = pseudo_inverse(information)
     solution = multiply(inverse, weighted)
-    for i in range(joints):
-        for j in range(joints):
-            explained = 0.0
-            for k in range(count):
-                explained += weighted[k, i] * solution[k, j]
-            form[i, j] = (precision[i, j] - explained) / (joints - count)
-    return form
+    explained = multiply(np.ascontiguousarray(weighted.T), solution)
+    return (precision - explained) / (joints - count)
 
 
 @compiled_inside

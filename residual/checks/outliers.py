@@ -191,6 +191,15 @@ def find_jumps(
 
 
 @compiled_inside
+def rate_deviation(signals: Vector, known: Matrix, count: int, dt_s: float) -> Array:
+    """Return the deviation of velocities from the rate of positions [rad/s], (n,).
+
+    Arguments are those of `judge_step`, and the number n of joints.
+    """
+    return signals[count : 2 * count] - (signals[:count] - known[LAST, :count]) / dt_s
+
+
+@compiled_inside
 def rate_error(
     signals: Vector,
     known: Matrix,
@@ -211,16 +220,12 @@ def rate_error(
     """
     jerk_rad_s2 = 0.2  # a change of acceleration beside the noise
     count = joints.shape[1]
-    total = 0.0
     if compared_s < LEARNING_S or not (0.0 < dt_s <= MAX_HOLD_S and step_s > 0.0):
-        return total
-    for j in range(count):
-        rate = (signals[j] - known[LAST, j]) / dt_s
-        change = signals[count + j] - rate - joints[DEVIATION, j]
-        own_change = signals[count + j] - known[LAST, count + j]
-        smallest = min(change * change, own_change * own_change)
-        total += smallest / (joints[USUAL, j] + (jerk_rad_s2 * dt_s) ** 2)
-    return total
+        return 0.0
+    change = rate_deviation(signals, known, count, dt_s) - joints[DEVIATION]
+    own_change = signals[count : 2 * count] - known[LAST, count : 2 * count]
+    smallest = np.minimum(change * change, own_change * own_change)
+    return (smallest / (joints[USUAL] + (jerk_rad_s2 * dt_s) ** 2)).sum()
 
 
 @compiled_inside
@@ -324,13 +329,12 @@ def compare_rate(
         joints[DEVIATION, :] = 0.0
         return
     weight = min(dt_s / min(compared_s + dt_s, usual_deviation_s), 1.0)
-    for j in range(count):
-        deviation = signals[count + j] - (signals[j] - known[LAST, j]) / dt_s
-        square = (deviation - joints[DEVIATION, j]) ** 2
-        if compared_s >= LEARNING_S:
-            square = min(square, largest_ratio * joints[USUAL, j])
-        joints[USUAL, j] += weight * (square - joints[USUAL, j])
-        joints[DEVIATION, j] = deviation
+    deviation = rate_deviation(signals, known, count, dt_s)
+    squares = (deviation - joints[DEVIATION]) ** 2
+    if compared_s >= LEARNING_S:
+        squares = np.minimum(squares, largest_ratio * joints[USUAL])
+    joints[USUAL] += weight * (squares - joints[USUAL])
+    joints[DEVIATION] = deviation
 
 
 @compiled

@@ -154,14 +154,6 @@ def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
 
 
-@pytest.mark.slow
-def test_the_alarming_sample_is_never_in_the_rerun():
-    for more in range(26):  # a window has 25 samples
-        layers = [(5e-3 + more * SPEED * DT_S, 60.0, 9000.0)]
-        (layer,) = run(*ml_insertion(layers, noise_N=0.0))[0].layers
-        assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
-
-
 def test_an_unmeasured_speed_is_estimated_from_depth():
     z, f = ml_insertion(LAYERS[:1])
     (layer,) = run(z, f, speed_m_s=None)[0].layers
