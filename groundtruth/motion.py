@@ -32,18 +32,6 @@ class Move(NamedTuple):
     travel_m: float
 
 
-class StrokeMotion(NamedTuple):
-    """Motion at some times; arrays of the times' shape.
-
-    Attributes:
-        position_m: Position of the tip.
-        speed_m_s: Its speed, positive inwards.
-    """
-
-    position_m: Array
-    speed_m_s: Array
-
-
 TARE_STROKE_M = 100e-3
 """Length of the tare stroke in free air: about as long as the deepest insertion, since
 what is learnt on it is carried on along the insertion."""
@@ -86,7 +74,7 @@ class Stroke:
         """Position of its end."""
         return self.start_m + self.travel_m
 
-    def evaluate(self, t_s: Array) -> StrokeMotion:
+    def evaluate(self, t_s: Array) -> tuple[Array, Array]:
         """Return position [m] and speed [m/s] at any times.
 
         Outside the stroke they are those of its ends, at rest.
@@ -101,10 +89,8 @@ class Stroke:
         else:
             travelled = np.zeros_like(time)
             rate = np.zeros_like(time)
-        return StrokeMotion(
-            position_m=self.start_m + self.travel_m * travelled,
-            speed_m_s=self.travel_m / self.duration_s * rate,
-        )
+        position_m = self.start_m + self.travel_m * travelled
+        return position_m, self.travel_m / self.duration_s * rate
 
 
 def _quintic_course(time: Array) -> tuple[Array, Array]:
@@ -161,7 +147,7 @@ class Tremor:
     amplitude_m: float
     frequency_hz: float
 
-    def evaluate(self, t_s: Array, start_s: float, end_s: float) -> StrokeMotion:
+    def evaluate(self, t_s: Array, start_s: float, end_s: float) -> tuple[Array, Array]:
         """Return the position [m] and speed [m/s] that it adds at any times.
 
         Args:
@@ -177,10 +163,8 @@ class Tremor:
         growth_per_s = is_fading * np.where(is_growing, 1.0, -1.0) / TREMOR_FADE_S
         wave = np.sin(rate_rad_s * t_s)
         wave_per_s = rate_rad_s * np.cos(rate_rad_s * t_s)
-        return StrokeMotion(
-            position_m=self.amplitude_m * grown * wave,
-            speed_m_s=self.amplitude_m * (grown * wave_per_s + growth_per_s * wave),
-        )
+        speed_m_s = self.amplitude_m * (grown * wave_per_s + growth_per_s * wave)
+        return self.amplitude_m * grown * wave, speed_m_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,16 +208,16 @@ class Motion:
 
     def position_m(self, t_s: ArrayLike) -> Array:
         """Return the position of the tip at one time or at an array of times."""
-        return self._evaluate(t_s).position_m
+        return self._evaluate(t_s)[0]
 
     def speed_m_s(self, t_s: ArrayLike) -> Array:
         """Return the speed of the tip at one time or at an array of times.
 
         It is positive inwards.
         """
-        return self._evaluate(t_s).speed_m_s
+        return self._evaluate(t_s)[1]
 
-    def _evaluate(self, t_s: ArrayLike) -> StrokeMotion:
+    def _evaluate(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Return the motion at one time or at an array of times."""
         t = np.asarray(t_s, dtype=np.float64)
         index = np.searchsorted(
@@ -243,14 +227,14 @@ class Motion:
         speed_m_s = np.empty_like(t)
         for i in np.unique(index):
             inside = index == i
-            motion = self.strokes[i].evaluate(t[inside])
-            position_m[inside] = motion.position_m
-            speed_m_s[inside] = motion.speed_m_s
+            position_m[inside], speed_m_s[inside] = self.strokes[i].evaluate(t[inside])
         if self.tremor is not None:
-            swing = self.tremor.evaluate(t, self.tare_end_s, self.withdrawal_start_s)
-            position_m = position_m + swing.position_m
-            speed_m_s = speed_m_s + swing.speed_m_s
-        return StrokeMotion(position_m[()], speed_m_s[()])  # a number for a number
+            swing_m, swing_m_s = self.tremor.evaluate(
+                t, self.tare_end_s, self.withdrawal_start_s
+            )
+            position_m = position_m + swing_m
+            speed_m_s = speed_m_s + swing_m_s
+        return position_m[()], speed_m_s[()]  # a number for a number
 
 
 def chain_strokes(

@@ -142,9 +142,7 @@ class SensorConfig:
     @property
     def slowest_gain_per_s(self) -> float:
         """Smallest gain of any joint [1/s]: it sets the lag."""
-        if isinstance(self.gain_per_s, tuple):
-            return min(self.gain_per_s)
-        return self.gain_per_s
+        return float(np.min(self.gain_per_s))
 
 
 DEFAULT = SensorConfig()

@@ -170,28 +170,3 @@ class Assessment(NamedTuple):
 
 GOOD = Assessment()
 """Assessment of an estimate of which nothing is wrong."""
-
-INITIALIZING = (
-    "the filters have just started, as after a time step longer than max_gap_s (in "
-    "seconds, not milliseconds)"
-)
-"""Message of the status of that name."""
-
-NOT_TARED = "tare() has not been called"
-"""Message of the status of that name."""
-
-TARING = "a tare is being fitted; until it is, the numbers carry the model's errors"
-"""Message of the status `NOT_TARED` after `start_tare`."""
-
-TARE_EXPIRED = (
-    "since the tare a time step of minutes has come, a pause or a clock that was set; "
-    "axial_std holds for a pause: withdraw and tare again"
-)
-"""Message of the warning of that name, after a tare."""
-
-FORGOTTEN = (
-    "a time step of minutes has come while free motion was recorded, a pause or a "
-    "clock that was set; what was recorded before it is forgotten: move in free air "
-    "again, then tare"
-)
-"""Message of the warning `TARE_EXPIRED` while free motion is recorded."""

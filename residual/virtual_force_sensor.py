@@ -25,9 +25,6 @@ from residual.errors import (
     TareError,
 )
 from residual.estimate import (
-    INITIALIZING,
-    NOT_TARED,
-    TARING,
     Assessment,
     SensorWarning,
     Status,
@@ -615,7 +612,11 @@ class VirtualForceSensor:
             warnings |= SensorWarning.TARE_EXPIRED
         if not is_settled:
             status = Status.INITIALIZING
-            texts = (INITIALIZING,)
+            reason = (
+                "the filters have just started, as after a time step longer than "
+                "max_gap_s (in seconds, not milliseconds)"
+            )
+            texts = (reason,)
         elif not offset.memory.tared:
             status = Status.NOT_TARED
             reason = monitor.velocity_fault or offset.warning or self._tare_state
@@ -630,10 +631,13 @@ class VirtualForceSensor:
     def _tare_state(self) -> str:
         """Why there is no tare yet."""
         if self.taring:
-            return TARING
+            return (
+                "a tare is being fitted; until it is, the numbers carry the model's "
+                "errors"
+            )
         if self.tare_refusal is not None:
             return f"the tare was refused: {self.tare_refusal}"
-        return NOT_TARED
+        return "tare() has not been called"
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """Return the last valid estimate again; the time of a bad sample passes."""

@@ -137,11 +137,9 @@ def build_model(root: Element, source: str) -> pin.Model:
         )
     for link in root.findall("link"):
         _check_inertial(link, source)
-    unlimited = [
-        joint.get("name", "")
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and not _complete_limits(joint)
-    ]
+    for joint in root.findall("joint"):
+        if joint.get("type") != "fixed":
+            _complete_limits(joint)
     try:
         model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -149,10 +147,10 @@ def build_model(root: Element, source: str) -> pin.Model:
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on "
             "stderr)"
         ) from error
-    for name in unlimited:
-        index = model.joints[model.getJointId(name)].idx_q
-        model.lowerPositionLimit[index] = -np.inf
-        model.upperPositionLimit[index] = np.inf
+    # Absent limits, and those that leave no room: an exporter has written zeros.
+    has_no_room = model.lowerPositionLimit >= model.upperPositionLimit
+    model.lowerPositionLimit[has_no_room] = -np.inf
+    model.upperPositionLimit[has_no_room] = np.inf
     masses = root.iterfind("link/inertial/mass[1]")
     written_kg = sum(float(mass.attrib["value"]) for mass in masses)
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
@@ -215,14 +213,11 @@ def _check_inertial(link: Element, source: str) -> None:
         link.remove(inertial)
 
 
-def _complete_limits(joint: Element) -> bool:
+def _complete_limits(joint: Element) -> None:
     """Write limits of a joint that its reader takes; a negative or absent one is 0.
 
-    That stands for a torque or velocity that is not known.
-
-    Returns:
-        Whether its position has limits: not that of a continuous joint, nor where they
-        are absent or leave no room, as where an exporter has written zeros.
+    That stands for a torque or velocity that is not known, and for a position without
+    limits, as that of a continuous joint is.
     """
     limit = joint.find("limit")
     if limit is None:
@@ -230,14 +225,7 @@ def _complete_limits(joint: Element) -> bool:
     for key in ("effort", "velocity"):
         if limit.get(key, "-").strip().startswith("-"):
             limit.set(key, "0")
-    try:
-        is_limited = float(limit.get("lower", "0")) < float(limit.get("upper", "0"))
-    except ValueError:  # its reader refuses the file
-        is_limited = True
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
-        is_limited = False
-    if not is_limited:
-        limit.set("lower", "-1e9")
-        limit.set("upper", "1e9")
-    return is_limited
+        limit.set("lower", "0")
+        limit.set("upper", "0")
