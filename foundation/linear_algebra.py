@@ -179,7 +179,7 @@ def solve_least_squares(matrix: Matrix, values: Vector, tolerance: float) -> Arr
     Singular values of the matrix, shape (m, n), below the largest times the tolerance
     count as zero.
     """
-    return np.linalg.lstsq(matrix, values, tolerance)[0]
+    return np.linalg.lstsq(matrix, values, tolerance)[0].astype(np.float64)
 
 
 @compiled_inside

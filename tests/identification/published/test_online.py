@@ -88,7 +88,7 @@ def ml_insertion(layers=LAYERS, noise_N=0.01):
     """Depth and force of an insertion at constant speed through layers (d, K, B)."""
     end_m = sum(layer[0] for layer in layers) + 4e-3
     z = np.arange(-1e-3, end_m, SPEED * DT_S)
-    f = noise_N * np.random.default_rng(3).standard_normal(len(z))
+    f = worlds.noisy(np.zeros(len(z)), noise_N, 3)
     start = 0.0
     for thickness, stiffness, friction in layers:
         reach = np.clip(z - start, 0.0, thickness)
