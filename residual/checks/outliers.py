@@ -623,7 +623,7 @@ class FaultDetector:
         min_position_step_rad = 1e-4
         # A torque may step by this fraction of the effort limit for no reason. On the
         # LWR that is 3.5 Nm at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist;
-        # what a force on the tool explains may step by more, see `is_contact`.
+        # what a force on the tool explains may step by more, see `_is_contact`.
         torque_ratio = 0.02
         # The gears of a moving wrist of 12 Nm make as much in a millisecond.
         min_torque_step_Nm = 0.7
