@@ -32,7 +32,6 @@ from foundation.jit import compile_waiting, compiled, compiled_inside
 from residual.checks.input import (
     check_choice,
     check_interval,
-    check_joint_vector,
     check_positive,
     check_rows,
     read_rows,
@@ -342,13 +341,8 @@ class MomentumObserver:
             q: Configuration about which the arm will move [rad], shape (n,): its
                 inertia turns noise of velocity into noise of momentum.
         """
-        noise = check_joint_vector(
-            "velocity_noise_rad_s", velocity_noise_rad_s, self._joints
-        )
-        inertia = pin.crba(
-            self._model, self._data, check_joint_vector("q", q, self._joints)
-        )
-        variance = np.square(inertia).dot(np.square(noise))
+        inertia = pin.crba(self._model, self._data, q)
+        variance = np.square(inertia).dot(np.square(velocity_noise_rad_s))
         noise = np.sqrt(variance) + MIN_MOMENTUM_NOISE
         self.memory.noise_threshold = NOISE_THRESHOLD_SIGMAS * noise
 

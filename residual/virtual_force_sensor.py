@@ -283,12 +283,7 @@ class VirtualForceSensor:
                 or treatment of gravity, or velocities that do not fit positions;
                 nothing has then changed.
         """
-        is_external = self._check_tare(ignore_contact=ignore_contact)
-        self._offset.start_tare(
-            ignore_contact=ignore_contact,
-            is_external=is_external,
-            steps_per_tick=sys.maxsize,
-        )
+        self._begin_tare(ignore_contact=ignore_contact, steps_per_tick=sys.maxsize)
         self._offset.continue_tare(self._contact)
         self._renew_gain()
         self._state.is_smoothing = False
@@ -324,19 +319,12 @@ class VirtualForceSensor:
         if self.taring:
             return
         self.tare_refusal = None
-        is_external = self._check_tare(ignore_contact=ignore_contact)
-        self._offset.start_tare(
-            ignore_contact=ignore_contact,
-            is_external=is_external,
-            steps_per_tick=int(steps_per_tick),
+        self._begin_tare(
+            ignore_contact=ignore_contact, steps_per_tick=int(steps_per_tick)
         )
 
-    def _check_tare(self, *, ignore_contact: bool) -> bool:
-        """Refuse a tare of signals that are known to be wrong.
-
-        Returns:
-            Whether torques are the robot's own external ones.
-        """
+    def _begin_tare(self, *, ignore_contact: bool, steps_per_tick: int) -> None:
+        """Prepare a tare, or refuse it for signals that are known to be wrong."""
         if self._monitor.velocity_fault and not ignore_contact:
             raise TareError(
                 f"{self._monitor.velocity_fault}: no tare would hold",
@@ -344,7 +332,11 @@ class VirtualForceSensor:
                 "in every sample, and move in free air anew; "
                 "`tare(ignore_contact=True)` tares as it is.",
             )
-        return self._stream is not None and self._stream.is_external
+        self._offset.start_tare(
+            ignore_contact=ignore_contact,
+            is_external=self._stream is not None and self._stream.is_external,
+            steps_per_tick=steps_per_tick,
+        )
 
     def _continue_tare(self) -> None:
         """Do the steps of this tick; use the tare, or keep why it is refused."""

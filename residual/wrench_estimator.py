@@ -511,12 +511,7 @@ class WrenchEstimator:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:unknowns]) ** -2.0
         self.scale_std = 0.0
-        self.torque_covariance = np.eye(robot.nv)
-        self._inverse = self.torque_covariance
-        self._inverse_with_jump = self.torque_covariance
-        self._jump_Nm2: Array | float = 0.0
-        self._noise = self.torque_covariance
-        self._smoothed_noise: Array | float = 0.0
+        self.set_torque_covariance(np.eye(robot.nv))
         self.compute_gain(np.zeros(robot.nv))
 
     def set_torque_covariance(
@@ -542,7 +537,7 @@ class WrenchEstimator:
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
         """
-        shape = self.torque_covariance.shape
+        shape = (self._joints, self._joints)
         covariance = np.array(covariance_Nm2, order="C")
         inverse = inverse_of(covariance)
         if covariance.shape != shape or inverse is None:
@@ -555,9 +550,8 @@ class WrenchEstimator:
         self._jump_Nm2 = jump_Nm2
         self._inverse_with_jump = inverse
         if np.any(jump_Nm2):
-            with_jump_Nm2 = covariance + jump_Nm2
-            self._inverse_with_jump = np.asarray(
-                np.linalg.inv(with_jump_Nm2), dtype=np.float64
+            self._inverse_with_jump = np.linalg.inv(covariance + jump_Nm2).astype(
+                np.float64
             )
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed_noise = smoothed_noise_Nm2

@@ -437,11 +437,12 @@ class FaultDetector:
     ) -> None:
         self._names = names
         self._delay_s = velocity_delay_s
-        limits = (
-            known_limits(robot.effort_limit_Nm, instead)
-            for instead in (np.inf, UNKNOWN_EFFORT_NM)
+        self._limits_Nm = np.stack(
+            [
+                known_limits(robot.effort_limit_Nm, instead)
+                for instead in (np.inf, UNKNOWN_EFFORT_NM)
+            ]
         )
-        self._limits_Nm = np.stack(list(limits))
         self._tool = tool
         size = len(names) * robot.nv
         self._has_jumped = np.zeros(size)
