@@ -204,7 +204,6 @@ class HandOnArm:
             None if it holds nothing.
         stiffness_N_per_m: Stiffness of the hand along a path.
         damping_Ns_per_m: Damping of the hand, against the motion of the arm.
-        applied_N: Force on the arm now, base axes.
         stretch_m: How far the arm is from where the hand wants it, base axes.
     """
 
@@ -213,7 +212,6 @@ class HandOnArm:
     path_m: Callable[[float], Iterable[float]] | None = None
     stiffness_N_per_m: float = 500.0
     damping_Ns_per_m: float = 8.0
-    applied_N: Vector3 = field(default=NO_FORCE, init=False)
     stretch_m: Vector3 = field(default=NO_FORCE, init=False)
     _hold_m: Vector3 = field(default=NO_FORCE, init=False)
 
@@ -241,7 +239,6 @@ class HandOnArm:
             )
             push = add(push, self.stretch_m, self.stiffness_N_per_m)
             push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
-        self.applied_N = push
         return push, motion.position_m
 
 
