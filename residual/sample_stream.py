@@ -245,6 +245,8 @@ class SampleStream:
         is_settled = True
         if self._velocity is not None:
             matched, is_settled = self._velocity.step(rows, dt_s)
+            # A position that jumps far makes a velocity that no arm has.
+            check_rows(("q", "dq", "tau"), matched)
         if observer is None:
             torque = rows[-1]
             return TorqueSample(matched[0], matched[1], torque, torque, is_settled)
