@@ -6,19 +6,15 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from groundtruth.errors import (
-    PlantError,
-    PlantModelError,
-    require_fraction,
-)
+from groundtruth.errors import PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
-from groundtruth.rig_contacts import Contact, TouchedPoint, Vector3
+from groundtruth.rig_contacts import Contact, TouchedPoint
 from groundtruth.scenarios import ElbowPush, LateralForce, Scenario, TissueMotion
 from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
@@ -37,78 +33,49 @@ rupture."""
 SUBSTEP_s = TICK_s / SUBSTEPS
 
 
-class _CadLink(NamedTuple):
-    """A link of the CAD table.
-
-    Attributes:
-        mass_kg: Mass.
-        com_m: Centre of mass in the joint frame.
-        moments_kg_m2: Ixx, Iyy, Izz about the centre of mass.
-        products_kg_m2: Ixy, Ixz, Iyz about the centre of mass.
-    """
-
-    mass_kg: float
-    com_m: Vector3
-    moments_kg_m2: Vector3
-    products_kg_m2: Vector3
-
-    @property
-    def inertia(self) -> pin.Inertia:
-        """The link as a Pinocchio inertia in its joint frame."""
-        ixx, iyy, izz = self.moments_kg_m2
-        ixy, ixz, iyz = self.products_kg_m2
-        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-        return pin.Inertia(self.mass_kg, np.array(self.com_m), about_com)
-
-
 # The second link table of the LWR 4+: the end point of the plant's model error, so that
 # no estimator is evaluated on an arm that has exactly its own numbers (the nominal
 # table of the ``urdf`` package is a fit to KUKA's own interface data).
 #
 # Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR
 # MATLAB simulator); believed to stem from CoppeliaSim's LBR4p.
+# Per link: mass [kg]; centre of mass in the joint frame [m]; Ixx, Iyy, Izz, Ixy, Ixz,
+# Iyz about the centre of mass [kg m^2].
 _CAD_TABLE = (
-    _CadLink(
-        mass_kg=2.7,
-        com_m=(0.00134, 0.02622, 0.11222),
-        moments_kg_m2=(0.016341, 0.016172, 0.005026),
-        products_kg_m2=(1e-6, 3e-6, -0.003533),
+    (
+        2.7,
+        (0.00134, 0.02622, 0.11222),
+        (0.016341, 0.016172, 0.005026, 1e-6, 3e-6, -0.003533),
     ),
-    _CadLink(
-        mass_kg=2.7,
-        com_m=(0.00134, -0.02622, 0.08778),
-        moments_kg_m2=(0.016341, 0.016172, 0.005026),
-        products_kg_m2=(-1e-6, 3e-6, 0.003533),
+    (
+        2.7,
+        (0.00134, -0.02622, 0.08778),
+        (0.016341, 0.016172, 0.005026, -1e-6, 3e-6, 0.003533),
     ),
-    _CadLink(
-        mass_kg=2.7,
-        com_m=(-0.00134, -0.02622, 0.11222),
-        moments_kg_m2=(0.016341, 0.016192, 0.005026),
-        products_kg_m2=(-1e-6, 3e-6, 0.003533),
+    (
+        2.7,
+        (-0.00134, -0.02622, 0.11222),
+        (0.016341, 0.016192, 0.005026, -1e-6, 3e-6, 0.003533),
     ),
-    _CadLink(
-        mass_kg=2.7,
-        com_m=(-0.00134, 0.02622, 0.08778),
-        moments_kg_m2=(0.016341, 0.016192, 0.005026),
-        products_kg_m2=(-1e-6, -3e-6, -0.003533),
+    (
+        2.7,
+        (-0.00134, 0.02622, 0.08778),
+        (0.016341, 0.016192, 0.005026, -1e-6, -3e-6, -0.003533),
     ),
-    _CadLink(
-        mass_kg=1.7,
-        com_m=(-0.00099, 0.02696, 0.07835),
-        moments_kg_m2=(0.009573, 0.008807, 0.003708),
-        products_kg_m2=(-1e-6, -1e-6, -0.003094),
+    (
+        1.7,
+        (-0.00099, 0.02696, 0.07835),
+        (0.009573, 0.008807, 0.003708, -1e-6, -1e-6, -0.003094),
     ),
-    _CadLink(
-        mass_kg=1.6,
-        com_m=(-0.00026, -0.00596, -0.00533),
-        moments_kg_m2=(0.002898, 0.003022, 0.003413),
-        products_kg_m2=(0.0, 0.0, -1.9e-5),
+    (
+        1.6,
+        (-0.00026, -0.00596, -0.00533),
+        (0.002898, 0.003022, 0.003413, 0.0, 0.0, -1.9e-5),
     ),
-    _CadLink(
-        mass_kg=0.3,
-        com_m=(0.0, 0.0, -0.015),
-        moments_kg_m2=(0.000101, 0.000101, 0.000158),
-        products_kg_m2=(0.0, 0.0, 0.0),
+    (
+        0.3,
+        (0.0, 0.0, -0.015),
+        (0.000101, 0.000101, 0.000158, 0.0, 0.0, 0.0),
     ),
 )
 
@@ -119,13 +86,13 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
         phi = (1 - a) phi_nominal + a phi_CAD
 
     Physically consistent 10-vectors form a convex set: a blend of two consistent links
-    is one. Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside
-    [0, 1].
+    is one. Links 1 to 7, each in its joint frame.
     """
-    require_fraction(PlantModelError, cad_fraction=cad_fraction)
     links = []
-    for joint, link in enumerate(_CAD_TABLE, start=1):
-        cad = link.inertia.toDynamicParameters()
+    for joint, (mass_kg, com_m, inertia) in enumerate(_CAD_TABLE, start=1):
+        ixx, iyy, izz, ixy, ixz, iyz = inertia
+        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        cad = pin.Inertia(mass_kg, np.array(com_m), about_com).toDynamicParameters()
         believed = nominal.inertias[joint].toDynamicParameters()
         blend = (1.0 - cad_fraction) * believed + cad_fraction * cad
         links.append(pin.Inertia.FromDynamicParameters(blend))

@@ -4,7 +4,6 @@ All have one base; each is also a builtin error, so that both can be caught.
 """
 
 import math
-from collections.abc import Callable
 
 from foundation.errors import NeedleforceError
 
@@ -50,41 +49,22 @@ class PlantError(GroundTruthError, RuntimeError):
     """The simulated arm cannot run, or has left its commanded motion."""
 
 
-def _requirement(is_met: Callable[[float], bool], advice: str) -> Callable[..., None]:
-    """Return a check of numbers.
+def require_positive(
+    error: type[GroundTruthError],
+    owner: object = None,
+    names: str = "",
+    **values: float,
+) -> None:
+    """Raise an error for the first number that is not finite and above zero.
 
     Args:
-        is_met: Whether a number passes.
-        advice: What to give instead, for the message.
+        error: Type of the error.
+        owner: Object whose fields are checked.
+        names: Names of these fields, separated by blanks.
+        **values: Further numbers by name.
     """
-
-    def require(
-        error: type[GroundTruthError],
-        owner: object = None,
-        names: str = "",
-        **values: float,
-    ) -> None:
-        """Raise ``error`` for the first number that does not pass.
-
-        Args:
-            error: Type of the error.
-            owner: Object whose fields are checked.
-            names: Names of these fields, separated by blanks.
-            **values: Further numbers by name.
-        """
-        for name, value in (
-            {n: getattr(owner, n) for n in names.split()} | values
-        ).items():
-            if not is_met(value):
-                raise error(f"{name} is {value!r}; give {advice}")
-
-    return require
-
-
-require_positive = _requirement(
-    lambda x: 0.0 < x < math.inf, "a finite number above zero"
-)
-require_non_negative = _requirement(
-    lambda x: 0.0 <= x < math.inf, "a finite number, zero or above"
-)
-require_fraction = _requirement(lambda x: 0.0 <= x <= 1.0, "a fraction from 0 to 1")
+    for name, value in (
+        {name: getattr(owner, name) for name in names.split()} | values
+    ).items():
+        if not 0.0 < value < math.inf:
+            raise error(f"{name} is {value!r}; give a finite number above zero")

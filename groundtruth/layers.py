@@ -7,12 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri
 
-from groundtruth.errors import (
-    TissueError,
-    require_fraction,
-    require_non_negative,
-    require_positive,
-)
+from groundtruth.errors import TissueError, require_positive
 
 CUTTING_ONSET_M = 1e-3
 """Travel until the cutting force is there: about one needle diameter (18G 1.27 mm)."""
@@ -40,7 +35,6 @@ class Texture:
         """Draw a texture with correlation exp(-x² / 2 length²) over a distance x."""
         # Number of waves of a texture.
         texture_waves = 16
-        require_positive(TissueError, std_N=std_N, length_m=length_m)
         # One wave in each quantile of that correlation's spectrum, a normal
         # distribution.
         quantile = (
@@ -84,10 +78,6 @@ class Membrane:
     hardening: float
     release_m: float
 
-    def __post_init__(self) -> None:
-        require_positive(TissueError, self, "puncture_N indentation_m release_m")
-        require_fraction(TissueError, self, "hardening")
-
     def force_N(self, indentation_m: float) -> float:
         """Return the force of the intact membrane; zero where it is untouched.
 
@@ -127,11 +117,6 @@ class ShaftFriction:
     speed_exponent: float = 1.0
     length_exponent: float = 1.0
 
-    def __post_init__(self) -> None:
-        positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
-        require_positive(TissueError, self, positive)
-        require_non_negative(TissueError, self, "coulomb_N_per_m viscous_Ns_per_m2")
-
     @classmethod
     def calibrated(
         cls,
@@ -148,12 +133,7 @@ class ShaftFriction:
             reference_speed_m_s: Speed at which it was measured.
             coulomb_fraction: Fraction of it that does not depend on speed, 0 to 1.
             presliding_m: See `ShaftFriction`.
-
-        Raises:
-            TissueError: The fraction is outside 0 to 1, or a value is not physical.
         """
-        require_fraction(TissueError, coulomb_fraction=coulomb_fraction)
-        require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
         return cls(
             coulomb_N_per_m=coulomb_fraction * force_N_per_m,
             viscous_Ns_per_m2=(1.0 - coulomb_fraction)
@@ -245,10 +225,6 @@ class Layer:
     def __post_init__(self) -> None:
         require_positive(
             TissueError, self, "thickness_m exit_force_N release_m tip_exponent"
-        )
-        require_non_negative(TissueError, self, "stiffening")
-        require_fraction(
-            TissueError, self, "kept_fraction cutting_fraction relaxed_fraction"
         )
         least_m = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:

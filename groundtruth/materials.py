@@ -28,7 +28,6 @@ at the end than at the start.
 from dataclasses import replace
 from typing import Any
 
-from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 
 # The paper's constant speed: at it, gel friction is Table I's.
@@ -79,16 +78,9 @@ def _layer(
 
 
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
-    """Return one of the paper's gels, of 25, 50 or 70 %.
-
-    `TissueError` for another percentage.
-    """
+    """Return one of the paper's gels, of 25, 50 or 70 %."""
     # Clean fracture of a brittle gel
     gel_release_m = 0.3e-3
-    if percent not in GEL_THICKNESS_M:
-        raise TissueError(
-            f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %"
-        )
     thickness = GEL_THICKNESS_M[percent]
     friction = ShaftFriction.calibrated(
         force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent]

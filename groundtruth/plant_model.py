@@ -7,13 +7,13 @@ better than 0.5 % of range, harmonic drives 160:1 (J1-J4) and 100:1 (J5-J7), 1 k
 velocity in the interface. "Limit" below is a joint's effort limit, 176 to 38 Nm.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
 from foundation.arrays import Array
-from groundtruth.errors import PlantModelError, require_non_negative
+from groundtruth.errors import PlantModelError
 
 TICK_s = 1e-3  # period of controller and sensors
 
@@ -52,9 +52,6 @@ class ForceNoise:
     drift_std_N_per_s: float = 0.0
     step_N: float = 0.0
     correlation_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_non_negative(PlantModelError, **asdict(self))
 
     def reading_N(
         self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator

@@ -72,7 +72,6 @@ class ArmTruth(NamedTuple):
         depth_m: Depth of the tip below the surface; zero without tissue.
         speed_m_s: Speed along the needle, positive inwards.
         tissue: Force of the tissue, one tick ago.
-        ruptured: Boundaries with a force to lose that the needle has gone through.
     """
 
     t_s: float
@@ -84,7 +83,6 @@ class ArmTruth(NamedTuple):
     depth_m: float
     speed_m_s: float
     tissue: TissueForce
-    ruptured: int
 
 
 class _Servo:
@@ -325,7 +323,6 @@ class SimulatedArm:
         self._torque_Nm = np.zeros(self.robot.nv)
         self._depths_m: list[float] = []
         self._forces: list[TissueForce] = []
-        self._deepest_m = -np.inf
         self._faults: list[tuple[int, Callable[[ArmSample], ArmSample | None]]] = []
         self._lost_until = 0
         self._refused_until = 0
@@ -389,7 +386,6 @@ class SimulatedArm:
     def truth(self) -> ArmTruth:
         """True state at the last sample."""
         plant = self._plant
-        law = self._law
         return ArmTruth(
             t_s=self.time_s,
             q_rad=plant.q_rad.copy(),
@@ -400,10 +396,6 @@ class SimulatedArm:
             depth_m=plant.depth_m,
             speed_m_s=float(plant.axial_jacobian.dot(plant.dq_rad_s)),
             tissue=plant.tissue_force,
-            ruptured=sum(
-                item.drop_N > 0.0 and self._deepest_m >= item.onset_m
-                for item in law.interfaces
-            ),
         )
 
     @property
@@ -494,7 +486,6 @@ class SimulatedArm:
         plant = self._plant
         self._commands.end_tick()
         self._depths_m.append(plant.depth_m)
-        self._deepest_m = max(self._deepest_m, plant.depth_m)
         plant.tick(self._torque_Nm)
         self._forces.append(plant.tissue_force)
         self._tick += 1

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from groundtruth.errors import PlantError, require_non_negative, require_positive
+from groundtruth.errors import PlantError
 
 try:
     import mujoco
@@ -130,12 +130,6 @@ class Trocar:
     point_m: Vector3 = field(default=NO_FORCE, init=False)
     at: str = field(default="tip", init=False)
 
-    def __post_init__(self) -> None:
-        """Raise `PlantError` for a value that is negative or not finite."""
-        require_non_negative(
-            PlantError, self, "behind_tip_m stiffness_N_per_m damping_Ns_per_m"
-        )
-
     def begin(self, motion: PointMotion) -> None:
         """Put the trocar where the needle is now."""
         self.point_m = add(motion.position_m, motion.axis, -self.behind_tip_m)
@@ -178,10 +172,6 @@ class Wall:
     at: str = field(default="tip", init=False)
     _surface: tuple[Vector3, Vector3] = field(default=(NO_FORCE, NO_FORCE), init=False)
 
-    def __post_init__(self) -> None:
-        """Raise `PlantError` for a stiffness or damping that no wall has."""
-        require_non_negative(PlantError, self, "stiffness_N_per_m damping_Ns_per_m")
-
     def begin(self, motion: PointMotion) -> None:
         """Put the wall across the needle's present direction."""
         self._surface = (
@@ -214,7 +204,6 @@ class HandOnArm:
             None if it holds nothing.
         stiffness_N_per_m: Stiffness of the hand along a path.
         damping_Ns_per_m: Damping of the hand, against the motion of the arm.
-        applied_N: Force on the arm now, base axes.
         stretch_m: How far the arm is from where the hand wants it, base axes.
     """
 
@@ -223,18 +212,15 @@ class HandOnArm:
     path_m: Callable[[float], Iterable[float]] | None = None
     stiffness_N_per_m: float = 500.0
     damping_Ns_per_m: float = 8.0
-    applied_N: Vector3 = field(default=NO_FORCE, init=False)
     stretch_m: Vector3 = field(default=NO_FORCE, init=False)
     _hold_m: Vector3 = field(default=NO_FORCE, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `PlantError` for an unknown place or an unusable spring."""
+        """Raise `PlantError` for an unknown place."""
         if self.at not in GRIPS:
             raise PlantError(
                 f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}"
             )
-        require_positive(PlantError, self, "stiffness_N_per_m")
-        require_non_negative(PlantError, self, "damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Take hold of the arm where it is now."""
@@ -253,7 +239,6 @@ class HandOnArm:
             )
             push = add(push, self.stretch_m, self.stiffness_N_per_m)
             push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
-        self.applied_N = push
         return push, motion.position_m
 
 

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from foundation.arrays import Array
-from groundtruth.errors import PlantError, require_non_negative, require_positive
 from groundtruth.plant_model import TICK_s
 
 
@@ -55,11 +54,6 @@ class Operator:
     stiffness_N_per_m: float = 300.0
     mass_kg: float = 1.5
     damping_Ns_per_m: float = 8.0
-
-    def __post_init__(self) -> None:
-        """Raise `PlantError` for a value that no hand has."""
-        require_positive(PlantError, self, "stiffness_N_per_m mass_kg")
-        require_non_negative(PlantError, self, "damping_Ns_per_m")
 
 
 def random_operator(
@@ -105,8 +99,6 @@ class HapticMaster:
             speed_filter_s: Time constant of the low-pass that turns positions into
                 velocities.
         """
-        require_positive(PlantError, mass_kg=mass_kg, speed_filter_s=speed_filter_s)
-        require_non_negative(PlantError, position_step_m=position_step_m)
         self._operator = operator
         self._position_step_m = position_step_m
         mass = operator.mass_kg + mass_kg

@@ -99,11 +99,14 @@ class SensorConfig:
             value = getattr(self, name)
             if not isinstance(value, bool | np.bool_):
                 raise ConfigurationError(f"{name} is {value!r}, expected True or False")
-        check_choice("alignment", self.alignment, get_args(Alignment))
-        check_choice("mode", self.mode, get_args(Mode))
-        check_choice("weighting", self.weighting, get_args(Weighting))
-        check_choice("axes", self.axes, get_args(Axes))
-        check_choice("tare", self.tare, get_args(TareKind))
+        for name, choices in (
+            ("alignment", Alignment),
+            ("mode", Mode),
+            ("weighting", Weighting),
+            ("axes", Axes),
+            ("tare", TareKind),
+        ):
+            check_choice(name, getattr(self, name), get_args(choices))
         if not isinstance(self.prior, BiasPrior):
             raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
         if self.friction is not None and not hasattr(self.friction, "torque"):
@@ -139,9 +142,7 @@ class SensorConfig:
     @property
     def slowest_gain_per_s(self) -> float:
         """Smallest gain of any joint [1/s]: it sets the lag."""
-        if isinstance(self.gain_per_s, tuple):
-            return min(self.gain_per_s)
-        return self.gain_per_s
+        return float(np.min(self.gain_per_s))
 
 
 DEFAULT = SensorConfig()

@@ -10,9 +10,6 @@ UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near
 it, and unlike infinity it can be drawn, stored and calculated with."""
 
-MAX_CONDITIONING = 1e6
-"""Beyond it a direction counts as unseen."""
-
 
 class Status(StrEnum):
     """Whether an estimate may be used."""
@@ -102,8 +99,6 @@ class WrenchEstimate(NamedTuple):
             zero in the modes that assume none.
         covariance: Of the estimated components, shape (k, k): k = 1 axial force [N^2],
             3 force, 6 force and torque; in the estimator's axes.
-        conditioning: Ratio of the largest to the smallest standard deviation over
-            directions in the estimated space; 1e6 where a direction cannot be seen.
         damping_fraction: Fraction of each true component that damping removes, 0 to 1,
             shape (k,).
         axial_unsmoothed: The axial force before it is smoothed [N], for whoever filters
@@ -126,7 +121,6 @@ class WrenchEstimate(NamedTuple):
     force: NDArray[np.float64]
     torque: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    conditioning: float
     damping_fraction: NDArray[np.float64]
     axial_unsmoothed: float
     residual: NDArray[np.float64]
@@ -152,7 +146,6 @@ class WrenchEstimate(NamedTuple):
             force=nothing,
             torque=nothing,
             covariance=covariance,
-            conditioning=MAX_CONDITIONING,
             damping_fraction=damping_fraction,
             axial_unsmoothed=0.0,
             residual=residual,
@@ -177,28 +170,3 @@ class Assessment(NamedTuple):
 
 GOOD = Assessment()
 """Assessment of an estimate of which nothing is wrong."""
-
-INITIALIZING = (
-    "the filters have just started, as after a time step longer than max_gap_s (in "
-    "seconds, not milliseconds)"
-)
-"""Message of the status of that name."""
-
-NOT_TARED = "tare() has not been called"
-"""Message of the status of that name."""
-
-TARING = "a tare is being fitted; until it is, the numbers carry the model's errors"
-"""Message of the status `NOT_TARED` after `start_tare`."""
-
-TARE_EXPIRED = (
-    "since the tare a time step of minutes has come, a pause or a clock that was set; "
-    "axial_std holds for a pause: withdraw and tare again"
-)
-"""Message of the warning of that name, after a tare."""
-
-FORGOTTEN = (
-    "a time step of minutes has come while free motion was recorded, a pause or a "
-    "clock that was set; what was recorded before it is forgotten: move in free air "
-    "again, then tare"
-)
-"""Message of the warning `TARE_EXPIRED` while free motion is recorded."""

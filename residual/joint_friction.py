@@ -1,6 +1,6 @@
 """Models of joint friction between the torque sensor and the link."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -93,16 +93,15 @@ class SigmoidFriction:
     amplitude_Nm: Array
     slope_s_rad: Array
     shift_rad_s: Array
-    _level_at_rest: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         _freeze_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
-        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
 
     def torque(self, dq: Array) -> Array:
         """Return the torque that opposes the motion [Nm], shape (n,)."""
+        level_at_rest = self._sigmoid(self.shift_rad_s)
         return self.amplitude_Nm * (
-            self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest
+            self._sigmoid(dq + self.shift_rad_s) - level_at_rest
         )
 
     def _sigmoid(self, speed: Array) -> Array:

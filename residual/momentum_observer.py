@@ -27,15 +27,11 @@ from foundation.arrays import (
     Matrix,
     Vector,
     WrittenMatrix,
-    WrittenVector,
 )
 from foundation.jit import compile_waiting, compiled, compiled_inside
-from foundation.linear_algebra import dot
 from residual.checks.input import (
-    MAX_PLAUSIBLE,
     check_choice,
     check_interval,
-    check_joint_vector,
     check_positive,
     check_rows,
     read_rows,
@@ -59,110 +55,37 @@ NOISE_THRESHOLD_SIGMAS = 3.0
 has doubled."""
 
 MIN_MOMENTUM_NOISE = 1e-9
-"""Smallest noise of the momentum [kg m^2/s]: it keeps the ratios of `momentum_step`
-finite."""
-
-MAX_SQUARED_SUM = 3.0 * (1.0 + 1e-9) * MAX_PLAUSIBLE**2
-"""Sum of squares of q, dq and tau from which `check_rows` always refuses at least one
-of them; the margin covers rounding."""
+"""Smallest noise of the momentum [kg m^2/s]: it keeps the ratios of
+`momentum_smoothing_step` finite."""
 
 _NAMES = ("q", "dq", "tau")
 
-# The residual after a tick is linear in nine vectors, the rows of a step: five that are
-# known before it, then four at its end.
+# State of the observer after a tick: rows of a matrix, a column per joint.
 
 RESIDUAL = 0
 """Row of the residual r [Nm]."""
 
 MOMENTUM = 1
-"""Row of the momentum p at the start of the tick, smoothed where the observer smooths
-it [kg m^2/s]."""
+"""Row of the momentum p, smoothed where the observer smooths it [kg m^2/s]."""
 
 CORIOLIS = 2
-"""Row of C' dq at the start of the tick [Nm]."""
+"""Row of C' dq [Nm]."""
 
 GRAVITY = 3
-"""Row of gravity and joint friction together, g + tau_f, at the start of the tick
-[Nm]."""
+"""Row of gravity and joint friction together, g + tau_f [Nm]."""
 
 TORQUE = 4
-"""Row of the measured torque at the start of the tick [Nm]."""
+"""Row of the measured torque [Nm]."""
 
-END = 4
-"""Offset, not a row: ``MOMENTUM + END`` is the row of the momentum at the end of the
-tick, and so on to ``TORQUE + END``."""
-
-ROWS_BEFORE = 5
-"""Number of rows that are known before the tick."""
-
-ROWS = 9
+ROWS = 5
 """Number of rows."""
-
-
-@compiled
-def set_step_weights(
-    weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, is_held: bool
-) -> None:
-    """Set the weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``.
-
-    With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is
-    linear in the rows of `momentum_step`.
-
-    Args:
-        weights: Output: one weight per row of a step, shape (1, 9), or (n, 9) for one
-            gain per joint.
-        gains_per_s: K, shape (1,) or (n,).
-        dt_s: Length of the tick.
-        is_held: Whether torque is held over the tick, see `Alignment`.
-    """
-    for k in range(len(gains_per_s)):
-        gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
-        half = 0.5 * gained
-        row = weights[k]
-        row[RESIDUAL] = 1.0 - gained
-        row[MOMENTUM] = -gained / dt_s
-        row[MOMENTUM + END] = gained / dt_s
-        row[CORIOLIS] = -half
-        row[CORIOLIS + END] = -half
-        row[GRAVITY] = half
-        row[GRAVITY + END] = half
-        if is_held:
-            row[TORQUE] = -gained
-            row[TORQUE + END] = 0.0
-        else:
-            row[TORQUE] = -half
-            row[TORQUE + END] = -half
-
-
-@compiled_inside
-def set_momentum(
-    rows: WrittenMatrix,
-    twists: Matrix,
-    momenta: Matrix,
-    directions: Matrix,
-    crossing: Matrix,
-    armature: Vector,
-    dq: Vector,
-) -> None:
-    """Write momentum p and C' dq at the end of a tick; arguments of `momentum_step`."""
-    for j in range(len(dq)):
-        momentum = armature[j] * dq[j] if armature.size else 0.0
-        coriolis = 0.0
-        for a in range(6):
-            momentum += directions[j, 6 * j + a] * momenta[j, a]
-            for b in range(6):
-                coriolis += (
-                    momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
-                )
-        rows[MOMENTUM + END, j] = momentum
-        rows[CORIOLIS + END, j] = coriolis
 
 
 @compiled_inside
 def momentum_smoothing_step(
-    momentum: WrittenVector, smoothed: Vector, noise_threshold: Vector, dt_s: float
-) -> None:
-    """Smooth the momentum of an arm that hardly accelerates, by one implicit step.
+    momentum: float, smoothed: float, noise_threshold: float, dt_s: float
+) -> float:
+    """Smooth the momentum of a joint that hardly accelerates, by one implicit step.
 
     During an insertion the arm's own inertial force is a few hundredths of a newton,
     but the noise of the velocity, differentiated, is the largest noise of the residual.
@@ -171,30 +94,20 @@ def momentum_smoothing_step(
     euro" filter, Casiez et al., CHI 2012). The implicit step never overshoots.
 
     Args:
-        momentum: Momentum at the end of the tick, shape (n,); replaced by the smoothed
-            one.
-        smoothed: The smoothed momentum at the start of the tick, shape (n,).
-        noise_threshold: Distance at which the bandwidth has doubled, shape (n,).
+        momentum: Momentum at the end of the tick.
+        smoothed: The smoothed momentum at the start of the tick.
+        noise_threshold: Distance at which the bandwidth has doubled.
         dt_s: Length of the tick.
+
+    Returns:
+        The smoothed momentum at the end of the tick.
     """
     # With s the length of the tick in time constants at rest, and x the distance in
     # thresholds, behind / (1 + s (1 + x^4)) remains.
     rest_step = BANDWIDTH_PER_S * dt_s  # s
-    for j in range(len(momentum)):
-        behind = momentum[j] - smoothed[j]
-        x = behind / noise_threshold[j]
-        momentum[j] -= behind / (1.0 + rest_step * (1.0 + x * x * x * x))
-
-
-@compiled_inside
-def set_residual(rows: WrittenMatrix, weights: Matrix) -> None:
-    """Write the residual after a tick; arguments of `momentum_step`."""
-    for j in range(rows.shape[1]):
-        row_weights = weights[j if len(weights) > 1 else 0]
-        residual = 0.0
-        for k in range(ROWS):
-            residual += row_weights[k] * rows[k, j]
-        rows[RESIDUAL, j] = residual
+    behind = momentum - smoothed
+    x = behind / noise_threshold
+    return momentum - behind / (1.0 + rest_step * (1.0 + x * x * x * x))
 
 
 @compiled
@@ -207,14 +120,18 @@ def momentum_step(
     armature: Vector,
     load: Vector,
     sample: Matrix,
-    weights: Matrix,
+    gains_per_s: Vector,
     noise_threshold: Vector,
     dt_s: float,
-) -> bool:
+    is_held: bool,
+) -> None:
     """Bring the residual to the end of a tick, smoothing its momentum if asked to.
 
+    The step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))`` with a = exp(-K dt) is
+    exact: it is stable for every K dt and has no start-up spike.
+
     Args:
-        rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of
+        rows: See `RESIDUAL` and the others, shape (5, n); all are brought to the end of
             the tick.
         twists: Twist v of every link at the end of the tick, in the link's axes, shape
             (n, 6).
@@ -222,40 +139,50 @@ def momentum_step(
         directions: Direction S of every joint, to be multiplied with the stacked
             momenta, shape (n, 6 n).
         crossing: Maps the stacked twists to v x S, shape (6 n, 6 n).
-        armature: Rotor inertia [kg m^2], shape (n,); of length 0 where there is none.
+        armature: Rotor inertia [kg m^2], shape (n,).
         load: g + tau_f at the end of the tick [Nm], shape (n,).
-        sample: q [rad], dq [rad/s] and measured torque [Nm] there, shape (3, n).
-        weights: See `set_step_weights`.
+        sample: q [rad], dq [rad/s] and measured torque [Nm] there, finite numbers,
+            shape (3, n).
+        gains_per_s: K of every joint, shape (n,).
         noise_threshold: See `momentum_smoothing_step`, shape (n,); of length 0 where
             nothing is smoothed.
         dt_s: Length of the tick; 0 at a first sample, which only sets the momentum.
-
-    Returns:
-        Whether the sample is finite and of plausible size; if not, nothing has
-        happened.
+        is_held: Whether torque is held over the tick, see `Alignment`.
     """
-    joints = len(load)
-    squared_sum = 0.0
-    for k in range(len(sample)):
-        squared_sum += dot(sample[k], sample[k])
-    # Written so that a NaN is refused, too.
-    if not squared_sum < MAX_SQUARED_SUM:
-        return False
-    dq = sample[1]
-    set_momentum(rows, twists, momenta, directions, crossing, armature, dq)
-    for j in range(joints):
-        rows[GRAVITY + END, j] = load[j]
-        rows[TORQUE + END, j] = sample[2, j]
-    if dt_s > 0.0:
-        if noise_threshold.size:
-            momentum_smoothing_step(
-                rows[MOMENTUM + END], rows[MOMENTUM], noise_threshold, dt_s
+    step_s = round_step(dt_s)
+    for j in range(len(load)):
+        momentum = armature[j] * sample[1, j]
+        coriolis = 0.0
+        for a in range(6):
+            momentum += directions[j, 6 * j + a] * momenta[j, a]
+            for b in range(6):
+                coriolis += (
+                    momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
+                )
+        if dt_s > 0.0:
+            if noise_threshold.size:
+                momentum = momentum_smoothing_step(
+                    momentum, rows[MOMENTUM, j], noise_threshold[j], dt_s
+                )
+            gained = -math.expm1(-gains_per_s[j] * step_s)
+            half = 0.5 * gained
+            gained_before = gained if is_held else half
+            gained_after = 0.0 if is_held else half
+            rows[RESIDUAL, j] = (
+                (1.0 - gained) * rows[RESIDUAL, j]
+                - gained / step_s * rows[MOMENTUM, j]
+                - half * rows[CORIOLIS, j]
+                + half * rows[GRAVITY, j]
+                - gained_before * rows[TORQUE, j]
+                + gained / step_s * momentum
+                - half * coriolis
+                + half * load[j]
+                - gained_after * sample[2, j]
             )
-        set_residual(rows, weights)
-    for k in range(MOMENTUM, ROWS_BEFORE):
-        for j in range(joints):
-            rows[k, j] = rows[k + END, j]
-    return True
+        rows[MOMENTUM, j] = momentum
+        rows[CORIOLIS, j] = coriolis
+        rows[GRAVITY, j] = load[j]
+        rows[TORQUE, j] = sample[2, j]
 
 
 @dataclass(slots=True, eq=False)
@@ -263,15 +190,14 @@ class MomentumState:
     """State of a `MomentumObserver`.
 
     Attributes:
-        rows: Rows of the last step, see `RESIDUAL` and the others, shape (ROWS, n).
+        rows: State after the last tick, see `RESIDUAL` and the others, shape (ROWS, n).
         started: Whether there was a sample.
-        noise: Momentum noise per joint for smoothing [kg m^2/s], shape (n,); None
-            without smoothing.
+        noise_threshold: As of `momentum_step`.
     """
 
     rows: Array
+    noise_threshold: Array
     started: bool = False
-    noise: Array | None = None
 
 
 class MomentumObserver:
@@ -295,7 +221,7 @@ class MomentumObserver:
         max_gap_s: Longest time step that is still integrated [s].
 
     Attributes:
-        memory: Its state.
+        memory: Its state; one of the same robot and settings may replace it.
 
     Raises:
         ConfigurationError: For a gain, alignment or gap that cannot work, or friction
@@ -326,15 +252,10 @@ class MomentumObserver:
         self._directions = np.asarray(block_diag(*axes))
         self._crossing = crossing
         self._armature = np.array(robot.model.armature)
-        if not self._armature.any():
-            self._armature = np.zeros(0)
         self._data = robot.create_data()
         self._share_workspace()
         self._is_held = alignment == "hold"
         self._max_gap_s = max_gap_s
-        self._weights = np.zeros((len(self._gains), ROWS))
-        self._dt_s = math.nan
-        self._step_s = math.nan
         self.reset()
 
     @property
@@ -360,20 +281,11 @@ class MomentumObserver:
                 that does not advance; the state is then unchanged.
         """
         sample = read_rows(_NAMES, (q, dq, tau), self._joints)
-        if self._friction is not None:  # Its model need not take what is not finite.
-            check_rows(_NAMES, sample)
+        check_rows(_NAMES, sample)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
         residual = self.step(sample, dt_s)
         residual.setflags(write=False)
         return residual
-
-    def _set_weights(self, dt_s: float) -> None:
-        """Set the weights of a time step, unless it only differs by rounding."""
-        self._dt_s = dt_s
-        step_s = round_step(dt_s)
-        if step_s != self._step_s:
-            set_step_weights(self._weights, self._gains, step_s, self._is_held)
-            self._step_s = step_s
 
     def step(self, sample: Array, dt_s: float) -> Array:
         """Take a sample as one contiguous array, shape (3, n), and a checked time step.
@@ -383,12 +295,11 @@ class MomentumObserver:
         memory = self.memory
         q = sample[0]
         dq = sample[1]
-        if not memory.started or dt_s > self._max_gap_s:
-            dt_s = 0.0
-        elif dt_s != self._dt_s:
-            self._set_weights(dt_s)
-        load = self._find_load(q, dq)
-        is_plausible = momentum_step(
+        load = pin.computeGeneralizedGravity(self._model, self._data, q)
+        if self._friction is not None:
+            load += self._friction.torque(dq)
+        pin.computeCentroidalMomentum(self._model, self._data, q, dq)
+        momentum_step(
             memory.rows,
             self._twists,
             self._momenta,
@@ -397,26 +308,13 @@ class MomentumObserver:
             self._armature,
             load,
             sample,
-            self._weights,
-            self._noise_threshold,
-            dt_s,
+            self._gains,
+            memory.noise_threshold,
+            dt_s if memory.started and dt_s <= self._max_gap_s else 0.0,
+            self._is_held,
         )
-        if not is_plausible:
-            # This always raises, see `MAX_SQUARED_SUM`.
-            check_rows(_NAMES, sample)
         memory.started = True
         return memory.rows[RESIDUAL].copy()
-
-    def _find_load(self, q: Array, dq: Array) -> Array:
-        """Return gravity and joint friction [Nm], and fill twists and momenta."""
-        load = pin.computeGeneralizedGravity(self._model, self._data, q)
-        if self._friction is not None:
-            # A model that writes into its argument must not change the caller's sample.
-            read_only_dq = dq.view()
-            read_only_dq.setflags(write=False)
-            load += self._friction.torque(read_only_dq)
-        pin.computeCentroidalMomentum(self._model, self._data, q, dq)
-        return load
 
     def _share_workspace(self) -> None:
         """Read twists and momenta in place from the workspace that Pinocchio fills."""
@@ -443,45 +341,26 @@ class MomentumObserver:
             q: Configuration about which the arm will move [rad], shape (n,): its
                 inertia turns noise of velocity into noise of momentum.
         """
-        noise = check_joint_vector(
-            "velocity_noise_rad_s", velocity_noise_rad_s, self._joints
-        )
-        inertia = pin.crba(
-            self._model, self._data, check_joint_vector("q", q, self._joints)
-        )
-        variance = np.square(inertia).dot(np.square(noise))
-        self.memory.noise = np.sqrt(variance) + MIN_MOMENTUM_NOISE
-        self.restore(self.memory)
-
-    def restore(self, memory: MomentumState) -> None:
-        """Go on from the `memory` of an observer of the same robot and settings.
-
-        It is not copied.
-        """
-        self.memory = memory
-        self._noise_threshold = np.zeros(0)
-        if memory.noise is not None:
-            self._noise_threshold = NOISE_THRESHOLD_SIGMAS * memory.noise
+        inertia = pin.crba(self._model, self._data, q)
+        variance = np.square(inertia).dot(np.square(velocity_noise_rad_s))
+        noise = np.sqrt(variance) + MIN_MOMENTUM_NOISE
+        self.memory.noise_threshold = NOISE_THRESHOLD_SIGMAS * noise
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
-        self.restore(MomentumState(np.zeros((ROWS, self._joints))))
+        self.memory = MomentumState(np.zeros((ROWS, self._joints)), np.zeros(0))
 
 
 def read_gains(gain_per_s: float | ArrayLike, joints: int) -> Array:
-    """Read a gain for all joints, shape (1,), or one each, shape (joints,) [1/s].
-
-    A single gain is not repeated for every joint: on an uneven clock the weights are
-    computed in every tick, and for one gain only once.
-    """
+    """Read a gain for all joints, or one each, as shape (joints,) [1/s]."""
     is_fit = np.shape(gain_per_s) in ((), (joints,))
-    gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1)
+    gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64)
     if not (np.isfinite(gains).all() and (gains > 0).all()):
         raise ConfigurationError(
             f"gain_per_s is {gain_per_s!r}, expected one positive number or {joints} "
             "of them [1/s]"
         )
-    return gains
+    return np.array(np.broadcast_to(gains, (joints,)))
 
 
 def joint_axis(joint: pin.JointModel) -> Array:

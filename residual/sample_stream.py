@@ -120,6 +120,7 @@ class SampleStream:
         lag_s: Time by which it follows the torque, where that is known here.
         memory: Its state.
         guard: The fault detector; None where there is none.
+        is_stale: Whether signals have not changed for a while.
     """
 
     def __init__(
@@ -149,6 +150,7 @@ class SampleStream:
                 max_gap_s=self._max_gap_s,
             )
             delay_s = self._velocity.delay_s
+        self.is_stale = False
         self.guard: FaultDetector | None = None
         if config.guard:
             # Without an offset forces are tried at the tool frame, whatever frame is
@@ -211,7 +213,7 @@ class SampleStream:
             self._velocity.reset()  # the position has jumped, and stayed there
         sample = self._estimate(rows, dt_s)
         if guard is not None:
-            guard.accept(rows, sample.dq, dt_s)
+            self.is_stale = guard.accept(rows, sample.dq, dt_s)
         if has_stepped:
             memory.turns = np.rint((rows[0] - np.asarray(q)) / TURN_RAD)
         elif not is_continued:
@@ -243,6 +245,8 @@ class SampleStream:
         is_settled = True
         if self._velocity is not None:
             matched, is_settled = self._velocity.step(rows, dt_s)
+            # A position that jumps far makes a velocity that no arm has.
+            check_rows(("q", "dq", "tau"), matched)
         if observer is None:
             torque = rows[-1]
             return TorqueSample(matched[0], matched[1], torque, torque, is_settled)
@@ -284,20 +288,9 @@ class SampleStream:
         observer.smooth_momentum(noise, q)
         self.memory.probe = None
 
-    @property
-    def seems_stale(self) -> bool:
-        """Whether signals have not changed for a while."""
-        return self.guard is not None and self.guard.seems_stale
-
-    @property
-    def warning(self) -> str:
-        """Which accepted signals seem frozen, in words; empty if none."""
-        return "" if self.guard is None else self.guard.warning
-
-    @property
-    def question(self) -> str:
-        """Which torques may be missing, as they do not change; empty if none."""
-        return "" if self.guard is None else self.guard.question
+    def stale_signals(self) -> tuple[str, str]:
+        """Return what `FaultDetector.stale_signals` does, if there is one."""
+        return ("", "") if self.guard is None else self.guard.stale_signals()
 
     def restore(self, memory: StreamState) -> None:
         """Go on from the `memory` of a stream of the same kind and settings.
@@ -305,9 +298,10 @@ class SampleStream:
         It is not copied.
         """
         self.memory = memory
-        if self._velocity is not None and memory.velocity is not None:
-            self._velocity.memory = memory.velocity
-        if self.guard is not None and memory.guard is not None:
-            self.guard.memory = memory.guard
-        if self._observer is not None and memory.observer is not None:
-            self._observer.restore(memory.observer)
+        for name, part in (
+            ("velocity", self._velocity),
+            ("guard", self.guard),
+            ("observer", self._observer),
+        ):
+            if part is not None:
+                part.memory = getattr(memory, name)

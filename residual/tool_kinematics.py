@@ -100,8 +100,7 @@ class ToolKinematics:
     @property
     def rotation(self) -> Array:
         """Rotation from the frame's own axes to those of the base, shape (3, 3)."""
-        pose = pin.updateFramePlacement(self._model, self._data, self._frame_id)
-        return np.ascontiguousarray(pose.rotation)
+        return np.ascontiguousarray(self.pose[:3, :3])
 
     @property
     def axial_jacobian(self) -> Array:

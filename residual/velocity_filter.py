@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
+from foundation.linear_algebra import dot
 from residual.checks.input import (
     ROUNDING_S,
     check_choice,
@@ -27,29 +28,30 @@ from residual.momentum_observer import Alignment
 
 _NAMES = ("q", "tau")
 
-# The filter's output after a tick is linear in four vectors, the rows of a step.
+# The filter's output after a tick is linear in four numbers of each signal, the columns
+# of a step.
 
 FIRST_LAG = 0
-"""Row of the output of the first lag."""
+"""Column of the output of the first lag."""
 
 SECOND_LAG = 1
-"""Row of the output of the second lag."""
+"""Column of the output of the second lag."""
 
 INPUT_BEFORE = 2
-"""Row of the input at the start of the tick."""
+"""Column of the input at the start of the tick."""
 
 INPUT = 3
-"""Row of the input at its end."""
+"""Column of the input at its end."""
 
-ROWS = 4
-"""Number of rows."""
+COLUMNS = 4
+"""Number of columns."""
 
 
 @compiled
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
-    """Return the factors of the exact step of two equal lags in a row, shape (3, ROWS).
+    """Return the factors of the exact step of two equal lags in a row, (3, COLUMNS).
 
-    Times the rows they give both outputs at the end of the tick, and the rate of the
+    Times the columns they give both outputs at the end of the tick, and the rate of the
     second one. The input runs straight over the tick; a held one is the case of equal
     ends.
     """
@@ -59,16 +61,12 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     per_tick = 1.0 / tick
     from_start = gained * per_tick - decay
     from_end = 1.0 + decay - 2.0 * gained * per_tick
-    factors = np.zeros((3, ROWS))
-    factors[0, FIRST_LAG] = decay
-    factors[0, INPUT_BEFORE] = from_start
-    factors[0, INPUT] = 1.0 - gained * per_tick
-    factors[1, FIRST_LAG] = decay * tick
-    factors[1, SECOND_LAG] = decay
-    factors[1, INPUT_BEFORE] = 2.0 * from_start - tick * decay
-    factors[1, INPUT] = from_end
-    for k in range(ROWS):
-        factors[2, k] = bandwidth_per_s * (factors[0, k] - factors[1, k])
+    factors = np.zeros((3, COLUMNS))
+    factors[0] = np.array([decay, 0.0, from_start, 1.0 - gained * per_tick])
+    factors[1] = np.array(
+        [decay * tick, decay, 2.0 * from_start - tick * decay, from_end]
+    )
+    factors[2] = bandwidth_per_s * (factors[0] - factors[1])
     return factors
 
 
@@ -76,10 +74,10 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
 def lag_pair_step(
     rows: WrittenMatrix, factors: Matrix, signals: Vector, is_held: bool
 ) -> Array:
-    """Bring the rows of position and torque to the end of a tick.
+    """Bring the numbers of position and torque to the end of a tick.
 
     Args:
-        rows: See `FIRST_LAG` and the others, shape (4, 2 n).
+        rows: See `FIRST_LAG` and the others, shape (2 n, 4).
         factors: See `lag_pair_coefficients`.
         signals: Position [rad], then torque [Nm] of this tick, shape (2 n,).
         is_held: Whether torque is held over the tick, see `Alignment`.
@@ -91,17 +89,14 @@ def lag_pair_step(
     matched = np.zeros((3, n))
     for j in range(2 * n):
         is_torque = j >= n
-        rows[INPUT, j] = rows[INPUT_BEFORE, j] if is_torque and is_held else signals[j]
-        first = 0.0
-        second = 0.0
-        rate = 0.0
-        for k in range(ROWS):
-            first += factors[0, k] * rows[k, j]
-            second += factors[1, k] * rows[k, j]
-            rate += factors[2, k] * rows[k, j]
-        rows[FIRST_LAG, j] = first
-        rows[SECOND_LAG, j] = second
-        rows[INPUT_BEFORE, j] = signals[j]
+        row = rows[j]
+        row[INPUT] = row[INPUT_BEFORE] if is_torque and is_held else signals[j]
+        first = dot(factors[0], row)
+        second = dot(factors[1], row)
+        rate = dot(factors[2], row)
+        row[FIRST_LAG] = first
+        row[SECOND_LAG] = second
+        row[INPUT_BEFORE] = signals[j]
         if is_torque:
             matched[2, j - n] = second
         else:
@@ -132,7 +127,8 @@ class VelocityState:
     """State of a `VelocityEstimator`.
 
     Attributes:
-        rows: Rows of the last step, position then torque, shape (ROWS, 2 n).
+        rows: Columns of the last step; a row per position, then per torque, shape
+            (2 n, COLUMNS).
         started: Whether there was a sample.
         age_s: Time since the filter started.
     """
@@ -194,7 +190,7 @@ class VelocityEstimator:
         self._max_gap_s = max_gap_s
         self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
         self._dt_s = math.nan
-        self.memory = VelocityState(np.zeros((ROWS, 2 * self._joints)))
+        self.memory = VelocityState(np.zeros((2 * self._joints, COLUMNS)))
 
     @property
     def delay_s(self) -> float:
@@ -234,7 +230,7 @@ class VelocityEstimator:
         memory = self.memory
         signals = sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:
-            memory.rows[:] = signals
+            memory.rows[:] = signals[:, None]
             memory.age_s = 0.0
             memory.started = True
             return np.stack((sample[0], np.zeros(self._joints), sample[1])), False

@@ -3,9 +3,8 @@
 import math
 import sys
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,7 @@ from foundation.state import SAME_KIND, SAME_SETTINGS
 from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
 from residual.bias.torque_scale import TorqueDiagnosis
-from residual.checks.input import SampleClock
+from residual.checks.input import MAX_STEP_S, as_float, elapsed_time
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
@@ -26,9 +25,6 @@ from residual.errors import (
     TareError,
 )
 from residual.estimate import (
-    INITIALIZING,
-    NOT_TARED,
-    TARING,
     Assessment,
     SensorWarning,
     Status,
@@ -54,19 +50,15 @@ DUE_GAIN = 1
 """Tick in which the gain is computed; after it nothing is due."""
 
 
-class SensorState(NamedTuple):
+@dataclass(slots=True, kw_only=True, eq=False)
+class SensorState:
     """State of a `VirtualForceSensor`, with the robot and settings that it is of.
+
+    The parts of a sensor keep their own states; a snapshot has them, too.
 
     Attributes:
         robot: `robot_digest` of its robot.
         config: Its settings in words; they must be the same to go on.
-        stream: Of the stream of samples; None before the first.
-        is_external: Whether it is one of the robot's own external torques.
-        offset: Of the offset removal.
-        torque_covariance: Covariance of the residual's error, as last renewed [Nm^2],
-            shape (n, n).
-        gain_configuration: Where the gain was computed last [rad], shape (n,).
-        monitor: Of the consistency checks.
         wrench_filter: Of the smoothing of the wrench.
         is_smoothing: Whether that is of a sample.
         unchecked_s: Time since the last consistency check.
@@ -74,23 +66,30 @@ class SensorState(NamedTuple):
         last: Last estimate; None before the first.
         missed_s: Time of samples rejected since then.
         rejected: Number of bad samples so far.
+        is_external: Whether samples have the robot's own external torques.
+        stream: State of the stream of samples; None before the first.
+        offset: State of the offset removal.
+        monitor: State of the consistency checks.
+        torque_covariance: Covariance of the residual's error, as last renewed [Nm^2],
+            shape (n, n).
+        gain_configuration: Where the gain was computed last [rad], shape (n,).
     """
 
     robot: str
     config: str
-    stream: StreamState | None
-    is_external: bool
+    wrench_filter: WrenchFilterState
+    is_smoothing: bool = False
+    unchecked_s: float = 0.0
+    due: int = DUE_CHECK
+    last: WrenchEstimate | None = None
+    missed_s: float = 0.0
+    rejected: int = 0
+    is_external: bool = False
+    stream: StreamState | None = None
     offset: BiasState
+    monitor: MonitorState
     torque_covariance: Array
     gain_configuration: Array
-    monitor: MonitorState
-    wrench_filter: WrenchFilterState
-    is_smoothing: bool
-    unchecked_s: float
-    due: int
-    last: WrenchEstimate | None
-    missed_s: float
-    rejected: int
 
 
 class VirtualForceSensor:
@@ -111,7 +110,6 @@ class VirtualForceSensor:
 
     Attributes:
         elapsed_s: Time between the last two samples that were used; 0 for the first.
-        rejected: Bad samples since the last `reset`.
         tare_refusal: Why the latest `start_tare` did not end in a tare; None if it did,
             or has not ended yet.
     """
@@ -121,11 +119,12 @@ class VirtualForceSensor:
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         compile_waiting()
-        self._digest = robot_digest(robot)
         self._robot = robot
+        self._digest = robot_digest(robot)
         self._config = config
         # Settings that do not fit the robot are refused now.
         SampleStream(robot, config, has_velocity=True)
+        self._settings = settings_text(config, robot.nv)
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
         # What looks for a contact in a tare.
@@ -145,6 +144,11 @@ class VirtualForceSensor:
     def tared(self) -> bool:
         """Whether the offset has been removed."""
         return self._offset.memory.tared
+
+    @property
+    def rejected(self) -> int:
+        """Number of bad samples since the last `reset`."""
+        return self._state.rejected
 
     @property
     def taring(self) -> bool:
@@ -189,7 +193,7 @@ class VirtualForceSensor:
 
         By how much is then known 2 to 2.5 s later.
         """
-        return self._monitor.torques.is_measuring
+        return self._monitor.is_measuring_jump
 
     @property
     def jumps(self) -> int:
@@ -279,15 +283,10 @@ class VirtualForceSensor:
                 or treatment of gravity, or velocities that do not fit positions;
                 nothing has then changed.
         """
-        is_external = self._check_tare(ignore_contact=ignore_contact)
-        self._offset.start_tare(
-            ignore_contact=ignore_contact,
-            is_external=is_external,
-            steps_per_tick=sys.maxsize,
-        )
+        self._begin_tare(ignore_contact=ignore_contact, steps_per_tick=sys.maxsize)
         self._offset.continue_tare(self._contact)
         self._renew_gain()
-        self._is_smoothing = False
+        self._state.is_smoothing = False
         return self._offset.memory.tare
 
     def start_tare(
@@ -320,19 +319,12 @@ class VirtualForceSensor:
         if self.taring:
             return
         self.tare_refusal = None
-        is_external = self._check_tare(ignore_contact=ignore_contact)
-        self._offset.start_tare(
-            ignore_contact=ignore_contact,
-            is_external=is_external,
-            steps_per_tick=int(steps_per_tick),
+        self._begin_tare(
+            ignore_contact=ignore_contact, steps_per_tick=int(steps_per_tick)
         )
 
-    def _check_tare(self, *, ignore_contact: bool) -> bool:
-        """Refuse a tare of signals that are known to be wrong.
-
-        Returns:
-            Whether torques are the robot's own external ones.
-        """
+    def _begin_tare(self, *, ignore_contact: bool, steps_per_tick: int) -> None:
+        """Prepare a tare, or refuse it for signals that are known to be wrong."""
         if self._monitor.velocity_fault and not ignore_contact:
             raise TareError(
                 f"{self._monitor.velocity_fault}: no tare would hold",
@@ -340,7 +332,11 @@ class VirtualForceSensor:
                 "in every sample, and move in free air anew; "
                 "`tare(ignore_contact=True)` tares as it is.",
             )
-        return self._stream is not None and self._stream.is_external
+        self._offset.start_tare(
+            ignore_contact=ignore_contact,
+            is_external=self._stream is not None and self._stream.is_external,
+            steps_per_tick=steps_per_tick,
+        )
 
     def _continue_tare(self) -> None:
         """Do the steps of this tick; use the tare, or keep why it is refused."""
@@ -351,13 +347,13 @@ class VirtualForceSensor:
             return
         if is_taken:
             # The next sample computes the gain before it is used.
-            self._due = DUE_GAIN
-            self._is_smoothing = False
+            self._state.due = DUE_GAIN
+            self._state.is_smoothing = False
 
     @property
     def question(self) -> str:
         """Which torques may be missing, as they do not change; mostly empty."""
-        return "" if self._stream is None else self._stream.question
+        return "" if self._stream is None else self._stream.stale_signals()[1]
 
     def _renew_gain(self) -> None:
         """Compute the gain with the residual's covariance where the arm is."""
@@ -395,21 +391,28 @@ class VirtualForceSensor:
         """Forget everything, the tare included."""
         self._stream: SampleStream | None = None
         self.elapsed_s = 0.0
-        self._restart()
         self._estimate_before: WrenchEstimate | None = None
-        self._last_estimate: WrenchEstimate | None = None
-        self._clock = SampleClock(self._config.max_gap_s)
-        self.rejected = 0
+        self._state = SensorState(
+            robot=self._digest,
+            config=self._settings,
+            wrench_filter=WrenchFilterState.at_zero(self._wrench.size),
+            offset=self._offset.memory,
+            monitor=self._monitor.state,
+            torque_covariance=self._wrench.torque_covariance,
+            gain_configuration=self._wrench.gain.configuration_rad,
+        )
+        self._restart()
 
     def _restart(self) -> None:
         """Forget the samples of a stream, before another begins."""
         self.tare_refusal: TareError | None = None
         self._offset.reset()
         self._monitor.reset()
-        self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
-        self._is_smoothing = False
-        self._unchecked_s = 0.0
-        self._due = DUE_CHECK
+        state = self._state
+        state.wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
+        state.is_smoothing = False
+        state.unchecked_s = 0.0
+        state.due = DUE_CHECK
 
     @property
     def lag_s(self) -> float:
@@ -435,22 +438,14 @@ class VirtualForceSensor:
         """
         stream = self._stream
         return deepcopy(
-            SensorState(
-                robot=self._digest,
-                config=settings_text(self._config, self._robot.nv),
-                stream=None if stream is None else stream.memory,
+            replace(
+                self._state,
                 is_external=stream is not None and stream.is_external,
+                stream=None if stream is None else stream.memory,
                 offset=self._offset.memory,
+                monitor=self._monitor.state,
                 torque_covariance=self._wrench.torque_covariance,
                 gain_configuration=self._wrench.gain.configuration_rad,
-                monitor=self._monitor.state,
-                wrench_filter=self._wrench_filter,
-                is_smoothing=self._is_smoothing,
-                unchecked_s=self._unchecked_s,
-                due=self._due,
-                last=self._last_estimate,
-                missed_s=self._clock.missed_s,
-                rejected=self.rejected,
             )
         )
 
@@ -471,11 +466,10 @@ class VirtualForceSensor:
                 "limits differ)",
                 SAME_SETTINGS,
             )
-        config = settings_text(self._config, self._robot.nv)
-        if state.config != config:
+        if state.config != self._settings:
             raise SnapshotError(
                 f"the snapshot is of other settings: {state.config}, this sensor has "
-                f"{config}",
+                f"{self._settings}",
                 SAME_SETTINGS,
             )
         state = deepcopy(state)
@@ -492,13 +486,7 @@ class VirtualForceSensor:
         self._monitor.restore(state.monitor)
         self._set_covariance(state.torque_covariance)
         self._wrench.compute_gain(state.gain_configuration)
-        self._wrench_filter = state.wrench_filter
-        self._is_smoothing = state.is_smoothing
-        self._unchecked_s = state.unchecked_s
-        self._due = state.due
-        self._clock.missed_s = state.missed_s
-        self._last_estimate = state.last
-        self.rejected = state.rejected
+        self._state = state
         if state.last is not None:
             for value in state.last:
                 if isinstance(value, np.ndarray):  # it may be handed out again
@@ -519,8 +507,10 @@ class VirtualForceSensor:
             stream = self._stream
             if stream is None or stream.is_external != is_external:
                 stream = self._new_stream(is_external, has_velocity=dq is not None)
-            is_first = self._last_estimate is None
-            elapsed_s = 0.0 if is_first else self._clock.elapsed(dt_s)
+            state = self._state
+            elapsed_s = 0.0
+            if state.last is not None:
+                elapsed_s = elapsed_time(dt_s, state.missed_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
             return self._reject(dt_s, error)
@@ -550,9 +540,10 @@ class VirtualForceSensor:
         self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Estimate the wrench of a valid sample, the bias removed."""
-        self._clock.missed_s = 0.0
+        state = self._state
+        state.missed_s = 0.0
         self.elapsed_s = elapsed_s
-        self._unchecked_s += elapsed_s
+        state.unchecked_s += elapsed_s
         q, dq, tau, total_residual, is_settled = sample
         offset = self._offset
         wrench = self._wrench
@@ -560,8 +551,8 @@ class VirtualForceSensor:
         bias = offset.memory
         if is_settled and not bias.tared:
             offset.record(total_residual, elapsed_s)
-        due = self._due
-        self._due = DUE_CHECK if is_renewed else max(due - 1, 0)
+        due = state.due
+        state.due = DUE_CHECK if is_renewed else max(due - 1, 0)
         # On a slow clock, and in the first tick, the bias may be renewed while the
         # check is due; then all is done in one tick.
         is_gain_tick = due == DUE_GAIN or (is_renewed and due == DUE_CHECK)
@@ -577,26 +568,26 @@ class VirtualForceSensor:
                 q,
                 dq if stream.has_velocity else None,
                 residual,
-                self._unchecked_s,
+                state.unchecked_s,
                 offset.tare_error_Nm2,
             )
-            self._unchecked_s = 0.0
+            state.unchecked_s = 0.0
         residual -= self._monitor.level_Nm
         smoothing_lag = 0.0
         observer_lag = 0.0
-        if self._is_smoothing:
+        if state.is_smoothing:
             smoothing_lag = self._smoothing_s / elapsed_s
             observer_lag = stream.lag_s / elapsed_s
-        self._is_smoothing = True
+        state.is_smoothing = True
         assessment = self._monitor.assessment
         is_good = is_settled and bias.tared and not bias.leapt_s
-        if not is_good or stream.seems_stale:
+        if not is_good or stream.is_stale:
             assessment = self._assess(stream, is_settled=is_settled)
         estimate = wrench.solve(
-            residual, self._wrench_filter, smoothing_lag, observer_lag, assessment
+            residual, state.wrench_filter, smoothing_lag, observer_lag, assessment
         )
-        self._estimate_before = self._last_estimate
-        self._last_estimate = estimate
+        self._estimate_before = state.last
+        state.last = estimate
         if bias.request is not None:
             self._continue_tare()
         return estimate
@@ -606,21 +597,25 @@ class VirtualForceSensor:
         monitor = self._monitor
         offset = self._offset
         warnings = monitor.warnings
-        frozen = stream.warning
+        frozen, question = stream.stale_signals()
         if frozen:
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
         if not is_settled:
             status = Status.INITIALIZING
-            texts = (INITIALIZING,)
+            reason = (
+                "the filters have just started, as after a time step longer than "
+                "max_gap_s (in seconds, not milliseconds)"
+            )
+            texts = (reason,)
         elif not offset.memory.tared:
             status = Status.NOT_TARED
             reason = monitor.velocity_fault or offset.warning or self._tare_state
-            texts = (reason, frozen, monitor.limit, stream.question)
+            texts = (reason, frozen, monitor.limit, question)
         else:
             status = Status.OK
-            texts = (frozen or stream.question, offset.warning, monitor.message)
+            texts = (frozen or question, offset.warning, monitor.message)
         message = "; ".join(filter(None, texts))
         return Assessment(status, message, monitor.mismatch, warnings)
 
@@ -628,20 +623,27 @@ class VirtualForceSensor:
     def _tare_state(self) -> str:
         """Why there is no tare yet."""
         if self.taring:
-            return TARING
+            return (
+                "a tare is being fitted; until it is, the numbers carry the model's "
+                "errors"
+            )
         if self.tare_refusal is not None:
             return f"the tare was refused: {self.tare_refusal}"
-        return NOT_TARED
+        return "tare() has not been called"
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """Return the last valid estimate again; the time of a bad sample passes."""
-        self.rejected = self.rejected + 1
-        estimate = self._last_estimate
+        state = self._state
+        state.rejected += 1
+        estimate = state.last
+        step_s = as_float(dt_s)
         if estimate is None:
             components = COMPONENTS[self._config.mode]
             estimate = WrenchEstimate.unknown(self._robot.nv, components)
-        else:
-            self._clock.miss(dt_s)
+        # A clock that was set back by more, or forward by more than a day, goes on from
+        # there.
+        elif -self._config.max_gap_s < step_s <= MAX_STEP_S:
+            state.missed_s += step_s
         return estimate._replace(
             status=Status.REJECTED,
             message=str(error),

@@ -24,7 +24,6 @@ from residual.config import DEFAULT, SensorConfig
 from residual.errors import ConfigurationError, SampleError
 from residual.estimate import (
     GOOD,
-    MAX_CONDITIONING,
     UNSEEN_STD,
     Assessment,
     WrenchEstimate,
@@ -82,7 +81,6 @@ class WrenchGain(NamedTuple):
             in the direction that is known least, shape (2,).
         noises_N2: The part of both that is noise of a single sample, shape (2,).
         covariance: As of `WrenchEstimate`.
-        conditioning: As of `WrenchEstimate`.
         damping_fraction: As of `WrenchEstimate`.
         smallest_singular_value_m: Joint torque per newton in the least observable of
             the directions that the mode asks for; in the mode ``full`` a newton metre
@@ -96,26 +94,9 @@ class WrenchGain(NamedTuple):
     variances_N2: Vector
     noises_N2: Vector
     covariance: Array
-    conditioning: float
     damping_fraction: Array
     smallest_singular_value_m: float
     unexplained: Array
-
-
-class WrenchSolution(NamedTuple):
-    """Weighted least squares of a wrench; for k unknowns and n joints.
-
-    Attributes:
-        matrix: Map from joint torque to the unknowns, shape (k, n).
-        covariance: Covariance of the unknowns, shape (k, k).
-        conditioning: As of `WrenchEstimate`.
-        damping_fraction: As of `WrenchEstimate`, shape (k,).
-    """
-
-    matrix: Array
-    covariance: Array
-    conditioning: float
-    damping_fraction: Array
 
 
 class WrenchFilterState(NamedTuple):
@@ -178,62 +159,34 @@ def inverse_of(covariance: Array) -> Array | None:
 
 
 @compiled_inside
-def condition_number(information: Matrix) -> float:
-    """Return the square root of the ratio of the extreme eigenvalues, limited."""
-    eigenvalues = np.linalg.eigvalsh(information)
-    least = eigenvalues[0]
-    largest = eigenvalues[len(eigenvalues) - 1]
-    if least > largest / MAX_CONDITIONING**2:
-        return math.sqrt(largest / least)
-    return MAX_CONDITIONING
+def solution_covariance(
+    matrix: Matrix,
+    error_covariance: Matrix,
+    inverse: Matrix,
+    unseen_part: Vector,
+    damping: Vector,
+) -> Array:
+    """Return the covariance of the unknowns of `gain_at`, shape (k, k).
 
-
-@compiled_inside
-def weighted_inverse(
-    jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
-) -> WrenchSolution:
-    """Solve ``torque = J' x + error`` by weighted least squares: (13) generalised.
-
-    ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this
-    is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of the
-    paper's equation (13). D is the inverse of the variance expected of x. It matters
-    only where the joints hardly observe x: there it draws the estimate to zero, and the
-    fraction that it removes is reported.
-
-    W need not be the inverse of ``error_covariance``. `WrenchEstimator.compute_gain`
-    takes W, where it weights, from the error of a single sample, but the error
-    covariance without the noise that the smoothing of the force removes later.
+    It has `UNSEEN_STD` squared on the diagonal where they cannot be observed.
 
     Args:
-        jacobian: J; its rows are the directions of x, shape (k, n).
-        error_covariance: Covariance of the torque's error [Nm^2], shape (n, n); only
-            the stated covariance depends on it.
-        precision: W, shape (n, n).
-        damping: Diagonal of D, shape (k,).
-
-    Returns:
-        The solution; its covariance has `UNSEEN_STD` squared on the diagonal where x
-        cannot be observed.
+        matrix: Map from joint torque to the unknowns, shape (k, n).
+        error_covariance: Covariance of the torque's error [Nm^2], shape (n, n).
+        inverse: Inverse of their information, shape (k, k).
+        unseen_part: As of `pseudo_inverse`.
+        damping: As of `gain_at`.
     """
-    count = len(jacobian)
-    weighted = multiply(jacobian, precision)
-    information = multiply_transposed(weighted, jacobian)
-    conditioning = condition_number(information)
-    for i in range(count):
-        information[i, i] += damping[i]
-    inverse, unseen_part = pseudo_inverse(information)
-    matrix = multiply(inverse, weighted)
+    count = len(matrix)
     covariance = multiply_transposed(multiply(matrix, error_covariance), matrix)
-    damping_fraction = np.zeros(count)
     for i in range(count):
-        damping_fraction[i] = inverse[i, i] * damping[i]
         for j in range(count):
             for k in range(count):
                 covariance[i, j] += inverse[i, k] * damping[k] * inverse[k, j]
     for i in range(count):
         if unseen_part[i] > MIN_UNSEEN_PART:
             covariance[i, i] = UNSEEN_VARIANCE
-    return WrenchSolution(matrix, covariance, conditioning, damping_fraction)
+    return covariance
 
 
 @compiled_inside
@@ -254,20 +207,14 @@ def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
     n).
     """
     count, joints = rows.shape
-    form = np.zeros((joints, joints))
     if count >= joints:
-        return form
+        return np.zeros((joints, joints))
     weighted = multiply(rows, precision)
     information = multiply_transposed(weighted, rows)
     inverse, _ = pseudo_inverse(information)
     solution = multiply(inverse, weighted)
-    for i in range(joints):
-        for j in range(joints):
-            explained = 0.0
-            for k in range(count):
-                explained += weighted[k, i] * solution[k, j]
-            form[i, j] = (precision[i, j] - explained) / (joints - count)
-    return form
+    explained = multiply(np.ascontiguousarray(weighted.T), solution)
+    return (precision - explained) / (joints - count)
 
 
 @compiled_inside
@@ -290,12 +237,8 @@ def axial_variances(direction: Vector, covariance: Matrix) -> Array:
     for i in range(3):
         if covariance[i, i] >= UNSEEN_VARIANCE:
             return variances
-    of_force = np.zeros((3, 3))
-    across = np.zeros((3, 3))  # the projector across the direction
-    for i in range(3):
-        for j in range(3):
-            of_force[i, j] = covariance[i, j]
-            across[i, j] = (1.0 if i == j else 0.0) - direction[i] * direction[j]
+    of_force = np.ascontiguousarray(covariance[:3, :3])
+    across = np.eye(3) - np.outer(direction, direction)  # the projector across it
     covariance_across = multiply(multiply(across, of_force), across)
     variances[0] = dot(direction, multiply_vector(of_force, direction))
     variances[1] = np.linalg.eigvalsh(covariance_across)[2]
@@ -304,6 +247,7 @@ def axial_variances(direction: Vector, covariance: Matrix) -> Array:
 
 @compiled
 def gain_at(
+    q: Vector,
     jacobian: Matrix,
     rotation: Matrix,
     axis: Vector,
@@ -312,23 +256,30 @@ def gain_at(
     precision: Matrix,
     precision_of_error: Matrix,
     damping: Vector,
-) -> tuple[Array, Array, Array, Array, Array, float, Array, float, Array]:
-    """Find the gain at a configuration, and how well the joints see the contact.
+) -> WrenchGain:
+    """Solve ``torque = J' x + error`` by weighted least squares: (13) generalised.
+
+    ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this
+    is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of the
+    paper's equation (13). D is the inverse of the variance expected of x. It matters
+    only where the joints hardly observe x: there it draws the estimate to zero, and the
+    fraction that it removes is reported.
+
+    W need not be the inverse of the error's covariance. `WrenchEstimator.compute_gain`
+    takes W, where it weights, from the error of a single sample, but the error's
+    covariance without the noise that the smoothing of the force removes later.
 
     Args:
+        q: Joint positions [rad], shape (n,).
         jacobian: Of the tip, in the tool's axes, shape (6, n).
         rotation: From the tool's axes to those asked for, shape (3, 3).
         axis: Insertion direction in the tool's axes, shape (3,).
         covariance_Nm2: Covariance of the torque's error that is stated, shape (n, n),
             without noise that the smoothing removes.
         noise_Nm2: Noise of a single sample, shape (n, n).
-        precision: Weights W of `weighted_inverse`, shape (n, n).
+        precision: W, shape (n, n).
         precision_of_error: Unit of what no wrench explains, shape (n, n).
-        damping: See `weighted_inverse`; one number per unknown: 1, 3 or 6.
-
-    Returns:
-        The fields of `WrenchGain` after the first: Python takes longer to receive named
-        tuples.
+        damping: Diagonal of D; one number per unknown: 1, 3 or 6.
     """
     count = len(damping)
     direction = multiply_vector(rotation, axis)
@@ -339,21 +290,29 @@ def gain_at(
         rows = force_rows
     else:
         rows = np.concatenate((force_rows, multiply(rotation, jacobian[3:])))
-    solution = weighted_inverse(rows, covariance_Nm2, precision, damping)
-    matrix = solution.matrix
+    weighted = multiply(rows, precision)
+    information = multiply_transposed(weighted, rows)
+    for i in range(count):
+        information[i, i] += damping[i]
+    inverse, unseen_part = pseudo_inverse(information)
+    solution = multiply(inverse, weighted)
+    matrix = solution
     if count == 1:
-        matrix = multiply(direction.reshape((3, 1)), solution.matrix)
-    noise = multiply_transposed(multiply(solution.matrix, noise_Nm2), solution.matrix)
+        matrix = multiply(direction.reshape((3, 1)), solution)
+    covariance = solution_covariance(
+        solution, covariance_Nm2, inverse, unseen_part, damping
+    )
+    noise = multiply_transposed(multiply(solution, noise_Nm2), solution)
     for i in range(count):
         noise[i, i] += MIN_NOISE_N2
-    return (
+    return WrenchGain(
+        q.copy(),
         matrix,
         direction,
-        axial_variances(direction, solution.covariance),
+        axial_variances(direction, covariance),
         axial_variances(direction, noise),
-        solution.covariance,
-        solution.conditioning,
-        solution.damping_fraction,
+        covariance,
+        np.diag(inverse) * damping,
         smallest_singular_value(rows),
         unexplained_form(rows, precision_of_error),
     )
@@ -378,11 +337,9 @@ def split_force(direction: Vector, force: Vector) -> tuple[float, float]:
 
     Of a wrench the first three components are the force.
     """
-    x = force[0]
-    y = force[1]
-    z = force[2]
-    along = direction[0] * x + direction[1] * y + direction[2] * z
-    return along, x * x + y * y + z * z - along * along
+    along = direction[0] * force[0] + direction[1] * force[1] + direction[2] * force[2]
+    square = force[0] * force[0] + force[1] * force[1] + force[2] * force[2]
+    return along, square - along * along
 
 
 @compiled_inside
@@ -440,11 +397,8 @@ def widen_by_scale(covariance: Matrix, unknowns: Vector, scale_std: float) -> Ar
         unknowns: The wrench, shape (k,).
         scale_std: Standard deviation of the scale, a part of 1.
     """
-    widened = covariance.copy()
-    for i in range(len(unknowns)):
-        for j in range(len(unknowns)):
-            widened[i, j] += (scale_std * unknowns[i]) * (scale_std * unknowns[j])
-    return widened
+    std = scale_std * unknowns
+    return covariance + np.outer(std, std)
 
 
 @compiled
@@ -557,12 +511,7 @@ class WrenchEstimator:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:unknowns]) ** -2.0
         self.scale_std = 0.0
-        self.torque_covariance = np.eye(robot.nv)
-        self._inverse = self.torque_covariance
-        self._inverse_with_jump = self.torque_covariance
-        self._jump_Nm2: Array | float = 0.0
-        self._noise = self.torque_covariance
-        self._smoothed_noise: Array | float = 0.0
+        self.set_torque_covariance(np.eye(robot.nv))
         self.compute_gain(np.zeros(robot.nv))
 
     def set_torque_covariance(
@@ -588,7 +537,7 @@ class WrenchEstimator:
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
         """
-        shape = self.torque_covariance.shape
+        shape = (self._joints, self._joints)
         covariance = np.array(covariance_Nm2, order="C")
         inverse = inverse_of(covariance)
         if covariance.shape != shape or inverse is None:
@@ -601,9 +550,8 @@ class WrenchEstimator:
         self._jump_Nm2 = jump_Nm2
         self._inverse_with_jump = inverse
         if np.any(jump_Nm2):
-            with_jump_Nm2 = covariance + jump_Nm2
-            self._inverse_with_jump = np.asarray(
-                np.linalg.inv(with_jump_Nm2), dtype=np.float64
+            self._inverse_with_jump = np.linalg.inv(covariance + jump_Nm2).astype(
+                np.float64
             )
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed_noise = smoothed_noise_Nm2
@@ -630,7 +578,8 @@ class WrenchEstimator:
         """Compute the gain at a configuration [rad], shape (n,), for `solve`."""
         tool = self.kinematics
         tool.update(q)
-        found = gain_at(
+        self.gain = gain_at(
+            q,
             np.ascontiguousarray(tool.jacobian),
             tool.rotation if self._in_base else _UNTURNED,
             tool.axis_in_tool,
@@ -641,7 +590,6 @@ class WrenchEstimator:
             self._inverse_with_jump,
             self._damping,
         )
-        self.gain = WrenchGain(q.copy(), *found)
         self.gain.covariance.setflags(write=False)
         self.gain.damping_fraction.setflags(write=False)
 
@@ -713,7 +661,6 @@ class WrenchEstimator:
             wrench[:3] if has_torque else wrench,
             wrench[3:] if has_torque else _NOTHING,
             covariance,
-            gain.conditioning,
             gain.damping_fraction,
             axial_unsmoothed,
             residual,

@@ -1,12 +1,17 @@
-"""The files of the project, and the syntax of its Python."""
+"""The files of the project."""
 
-import ast
 import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-LIBRARIES = ("urdf", "residual", "identification", "groundtruth")
-INSTALLED = ("foundation", *LIBRARIES, "needleforce")
+INSTALLED = (
+    "foundation",
+    "urdf",
+    "residual",
+    "identification",
+    "groundtruth",
+    "needleforce",
+)
 PACKAGES = (*INSTALLED, "benchmarks")
 
 
@@ -47,24 +52,8 @@ def name_of(path):
     return str(path.relative_to(ROOT))
 
 
-def syntax(path):
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-SOURCES = [path for path in project_files() if path.suffix == ".py"]
 PACKAGE_SOURCES = [
-    path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES
-]
-TESTS = [
     path
-    for path in SOURCES
-    if path.is_relative_to(ROOT / "tests") and path.name != "__init__.py"
+    for path in project_files()
+    if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in PACKAGES
 ]
-
-
-def functions(tree):
-    return [
-        n
-        for n in ast.walk(tree)
-        if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
-    ]

@@ -13,7 +13,7 @@ from needleforce import InsertionSession
 from tests.insertion_run import samples, short_run, tare_index
 from tests.source_files import INSTALLED, ROOT
 
-MAX_FILES = 39
+MAX_FILES = 35
 
 
 def files_passed(work):

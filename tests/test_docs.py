@@ -72,10 +72,6 @@ PAGES = [
 GENERATED = re.compile(r"(^|/)(api|gallery)/|(^|/)(command-line|benchmarks|codes)\.md$")
 """Pages that exist once the site is built, which checks links to them and anchors."""
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-LOOP = (ROOT / "docs" / "how-to" / "loop.md").read_text(encoding="utf-8")
-SNAPSHOTS = (ROOT / "docs" / "how-to" / "stop-and-resume.md").read_text(
-    encoding="utf-8"
-)
 
 
 def run_example(code):

@@ -40,17 +40,11 @@ DISTRIBUTIONS = {
 }
 
 
-def distribution(requirement):
-    """Name of what a line of the project file asks for."""
-    return requirement.split(">=")[0].split("[")[0].strip().lower().replace("_", "-")
-
-
 def required(extra):
-    return {
-        distribution(item)
-        for item in PROJECT["project"]["optional-dependencies"][extra]
-        if not item.startswith("needleforce[")
-    }
+    """Names of the distributions that an extra asks for."""
+    items = PROJECT["project"]["optional-dependencies"][extra]
+    names = (item.split(">=")[0].split("[")[0].strip() for item in items)
+    return {name.lower().replace("_", "-") for name in names}
 
 
 def third_party_imports(path):
@@ -87,11 +81,9 @@ def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
     assert unknown == set()
 
 
-def test_the_extra_of_a_module_brings_it():
-    for module, extra in EXTRA_OF_MODULE.items():
-        name = DISTRIBUTIONS.get(module, module.lower())
-
-        assert name in required(extra), module
+@pytest.mark.parametrize(("module", "extra"), EXTRA_OF_MODULE.items())
+def test_the_extra_of_a_module_brings_it(module, extra):
+    assert DISTRIBUTIONS.get(module, module.lower()) in required(extra)
 
 
 @pytest.mark.slow

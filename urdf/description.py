@@ -42,10 +42,6 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     Shapes, materials and extensions are dropped, and so are the links ``without`` with
     all that they carry. The errors of this file are those of `urdf.load_urdf`.
     """
-    if isinstance(without, str):
-        raise InputError(
-            f"without is the string {without!r}, expected a list of link names"
-        )
     file = _parse(_read_text(path), path)
     if file.tag != "robot" or any(part.tag.startswith("xacro:") for part in file):
         raise UrdfFileError(
@@ -68,10 +64,10 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 
 
 def _read_text(path: Path) -> str:
-    """Return the text of a file; single bytes where it is not UTF-8.
+    """Return the text of a file.
 
     Names in a URDF are ASCII; what is not UTF-8 are comments of an exporter, in the
-    code page of its author's machine.
+    code page of its author's machine: they are not read.
     """
     # The largest known description, with meshes' names and sensors of a humanoid, has
     # 0.5 MB.
@@ -82,13 +78,9 @@ def _read_text(path: Path) -> str:
             raise UrdfFileError(
                 f"{path}: is no file, or larger than {max_bytes} bytes", PLAIN_URDF
             )
-        data = path.read_bytes()
+        return path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UrdfFileError(f"{path!s:.200}: cannot be read: {error}") from error
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def _parse(text: str, path: Path) -> Element:
@@ -145,11 +137,9 @@ def build_model(root: Element, source: str) -> pin.Model:
         )
     for link in root.findall("link"):
         _check_inertial(link, source)
-    unlimited = [
-        joint.get("name", "")
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and not _complete_limits(joint)
-    ]
+    for joint in root.findall("joint"):
+        if joint.get("type") != "fixed":
+            _complete_limits(joint)
     try:
         model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -157,10 +147,10 @@ def build_model(root: Element, source: str) -> pin.Model:
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on "
             "stderr)"
         ) from error
-    for name in unlimited:
-        index = model.joints[model.getJointId(name)].idx_q
-        model.lowerPositionLimit[index] = -np.inf
-        model.upperPositionLimit[index] = np.inf
+    # Absent limits, and those that leave no room: an exporter has written zeros.
+    has_no_room = model.lowerPositionLimit >= model.upperPositionLimit
+    model.lowerPositionLimit[has_no_room] = -np.inf
+    model.upperPositionLimit[has_no_room] = np.inf
     masses = root.iterfind("link/inertial/mass[1]")
     written_kg = sum(float(mass.attrib["value"]) for mass in masses)
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
@@ -223,14 +213,11 @@ def _check_inertial(link: Element, source: str) -> None:
         link.remove(inertial)
 
 
-def _complete_limits(joint: Element) -> bool:
+def _complete_limits(joint: Element) -> None:
     """Write limits of a joint that its reader takes; a negative or absent one is 0.
 
-    That stands for a torque or velocity that is not known.
-
-    Returns:
-        Whether its position has limits: not that of a continuous joint, nor where they
-        are absent or leave no room, as where an exporter has written zeros.
+    That stands for a torque or velocity that is not known, and for a position without
+    limits, as that of a continuous joint is.
     """
     limit = joint.find("limit")
     if limit is None:
@@ -238,14 +225,7 @@ def _complete_limits(joint: Element) -> bool:
     for key in ("effort", "velocity"):
         if limit.get(key, "-").strip().startswith("-"):
             limit.set(key, "0")
-    try:
-        is_limited = float(limit.get("lower", "0")) < float(limit.get("upper", "0"))
-    except ValueError:  # its reader refuses the file
-        is_limited = True
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
-        is_limited = False
-    if not is_limited:
-        limit.set("lower", "-1e9")
-        limit.set("upper", "1e9")
-    return is_limited
+        limit.set("lower", "0")
+        limit.set("upper", "0")

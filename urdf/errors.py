@@ -90,11 +90,12 @@ def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
         raise InputError(
             f"{name} is not an array of numbers of shape {expected}: {error}"
         ) from error
-    if array.ndim != len(shape) or any(
-        length == 0 or expected_length not in (-1, length)
+    is_fit = array.ndim == len(shape) and all(
+        length > 0 and expected_length in (-1, length)
         for length, expected_length in zip(array.shape, shape, strict=True)
-    ):
-        raise InputError(f"{name} has shape {array.shape}, expected {expected}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} has NaN or infinite entries, expected finite numbers")
+    )
+    if not is_fit or not np.isfinite(array).all():
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {expected}, all numbers finite"
+        )
     return array

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from urdf.description import build_model, link_of, read_description, read_numbers
+from urdf.description import build_model, link_of, read_description
 from urdf.errors import (
     KEEP_JOINTS,
     InputError,
@@ -44,24 +44,17 @@ def joints_towards(
         UnknownNameError: There is no such link or joint, or no single last link.
     """
     root = read_description(path, without)
-    joints = root.findall("joint")
-    children = {joint.get("name", ""): link_of(joint, "child") for joint in joints}
-    links = {link.get("name", "") for link in root.findall("link")}
-    if frame is None:
-        frame = last_link(root, build_model(root, str(path)), str(path))
-    elif frame not in links | children.keys():
+    model = build_model(root, str(path))
+    frame = frame or last_link(root, model, str(path))
+    if not model.existFrame(frame):
         raise UnknownNameError(
-            f"{path}: no frame {frame!r}; links: {', '.join(sorted(links))}"
+            f"{path}: no frame {frame!r}; frames: "
+            f"{', '.join(one.name for one in model.frames)}"
         )
-    by_child = {link_of(joint, "child"): joint for joint in joints}
-    link = frame if frame in links else children[frame]
-    route: list[str] = []
-    while link in by_child:
-        joint = by_child.pop(link)  # so that a loop of links ends
-        if _is_movable(joint):
-            route.insert(0, joint.get("name", ""))
-        link = link_of(joint, "parent")
-    return tuple(route)
+    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
+    parent = model.frames[[one.name for one in model.frames].index(frame)].parentJoint
+    route = [model.names[k] for k in list(model.supports[parent])[1:]]
+    return tuple(name for name in route if _is_movable(joints[name]))
 
 
 def lock_joints(
@@ -107,7 +100,7 @@ def lock_joints(
     welded = locked.keys() if kept is None else moving.keys() - kept
     positions = {name: locked.get(name, 0.0) for name in welded}
     followers = {name: moving[name] for name in moving.keys() - chosen}
-    positions |= _follow(followers, positions, source)
+    positions |= _follow(followers, positions)
     left = moving.keys() - positions.keys()
     if odd := sorted(name for name in left if not _is_movable(moving[name])):
         raise UnsupportedJointError(
@@ -140,7 +133,7 @@ def _reduce(model: pin.Model, positions: Mapping[str, float]) -> pin.Model:
 
 
 def _follow(
-    followers: Mapping[str, Element], positions: Mapping[str, float], source: str
+    followers: Mapping[str, Element], positions: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the positions of those joints that mimic one with a position."""
     followed: dict[str, float] = {}
@@ -148,12 +141,11 @@ def _follow(
         mimic = joint.find("mimic")
         leader = "" if mimic is None else mimic.get("joint", "")
         if mimic is not None and leader in positions:
-            owner = f"{source}: joint {name!r}"
-            mimic.attrib.setdefault("multiplier", "1")
-            mimic.attrib.setdefault("offset", "0")
-            (factor,) = read_numbers(joint, "mimic", "multiplier", owner)
-            (offset,) = read_numbers(joint, "mimic", "offset", owner)
-            followed[name] = factor * positions[leader] + offset
+            # Numbers, or the reader of the URDF would have refused the file.
+            factor = float(mimic.get("multiplier", "1"))
+            followed[name] = factor * positions[leader] + float(
+                mimic.get("offset", "0")
+            )
     return followed
 
 

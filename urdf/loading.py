@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from urdf.description import build_model, read_description
 from urdf.errors import (
-    InputError,
     MissingPackageError,
     UnknownNameError,
     finite_array,
@@ -74,14 +73,6 @@ def load_urdf(
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
     source = str(path)
-    for name, joints in {
-        "locked_joints": locked_joints,
-        "keep_joints": keep_joints,
-    }.items():
-        if isinstance(joints, str):
-            raise InputError(
-                f"{name} is the string {joints!r}, expected a list of names"
-            )
     if not isinstance(locked_joints, Mapping):
         locked_joints = dict.fromkeys(locked_joints, 0.0)
     for name, position in locked_joints.items():
@@ -164,7 +155,7 @@ def load_example(
         MissingPackageError: example-robot-data is needed and not installed.
     """
     path = example_robot_path(name)
-    without = without if isinstance(without, str) else tuple(without)
+    without = tuple(without)
     names = {element.get("name") for element in read_description(path, without)}
     default_frame = next((frame for frame in _TOOL_FRAMES if frame in names), None)
     return load_urdf(

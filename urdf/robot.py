@@ -261,14 +261,21 @@ def _find_inertia_faults(robot: Robot) -> Sequence[str]:
     is_turning = [
         joint.shortname().startswith("JointModelR") for joint in list(model.joints)[1:]
     ]
-    turned_kg_m2 = np.diag(mass_matrix)[is_turning].max(initial=0.0)
+    # Neither what joints turn nor a body's own moment is known better than to 5 %; a
+    # milligram at a metre is the rounding of a written table.
+    tolerated_kg_m2 = max(
+        1e-6, 0.05 * np.diag(mass_matrix)[is_turning].max(initial=0.0)
+    )
     faults: list[str] = []
     for joint in range(1, model.njoints):
         where = f"behind joint {model.names[joint]}"
         body = robot.bare_model.inertias[joint]
         if model.inertias[joint].mass == 0.0:
             faults.append(f"{where} there is no mass, its weight would be in the force")
-        elif body.mass != 0.0 and _is_impossible(body, turned_kg_m2):
+        elif (
+            body.mass != 0.0
+            and impossible_moment(body.toDynamicParameters()) > tolerated_kg_m2
+        ):
             moments = principal_moments(body.toDynamicParameters()).round(9).tolist()
             faults.append(
                 f"{where} no rigid body has the mass {body.mass:g} kg and principal "
@@ -279,15 +286,3 @@ def _find_inertia_faults(robot: Robot) -> Sequence[str]:
         names = ", ".join(robot.joint_names[k] for k in idle)
         faults.append(f"the mass matrix is singular; joints without inertia: {names}")
     return faults
-
-
-def _is_impossible(body: pin.Inertia, turned_kg_m2: float) -> bool:
-    """Return whether no body has such inertia, by more than can be tolerated.
-
-    The largest moment that a joint turns is given: neither that nor the body's own is
-    known better than to 5 %.
-    """
-    parameters = body.toDynamicParameters()
-    # A milligram at a metre is the rounding of a written table.
-    tolerated_kg_m2 = max(1e-6, 0.05 * turned_kg_m2)
-    return impossible_moment(parameters) > tolerated_kg_m2

@@ -18,7 +18,6 @@ from residual.bias.torque_scale import TorqueDiagnosis
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
 from residual.errors import TareError
-from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
@@ -267,7 +266,16 @@ class BiasEstimator:
         """Effect of a long time step on tare or recorded motion; empty without one."""
         if self.memory.leapt_s == 0.0:
             return ""
-        return TARE_EXPIRED if self.memory.tared else FORGOTTEN
+        came = "a time step of minutes has come, a pause or a clock that was set"
+        if self.memory.tared:
+            return (
+                f"since the tare {came}; axial_std holds for a pause: withdraw and "
+                "tare again"
+            )
+        return (
+            f"while free motion was recorded {came}; what was recorded before it is "
+            "forgotten: move in free air again, then tare"
+        )
 
     @property
     def is_fresh(self) -> bool:
@@ -351,10 +359,8 @@ class BiasEstimator:
         memory.motion_Nm2 = np.square(self._basis.prior.mass_fraction * motion_Nm)
 
     def record(self, residual: Array, dt_s: float) -> None:
-        """Record a residual [Nm] of free motion, unless there is a current tare."""
+        """Record a residual [Nm] of free motion, for the next tare."""
         memory = self.memory
-        if memory.tared:
-            return
         recorder = memory.recorder
         measured = memory.tau
         if self._config.torque_is_gravity_compensated:

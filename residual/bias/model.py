@@ -117,19 +117,20 @@ class BiasPrior:
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
-            value = getattr(self, name)
-            numbers = np.asarray(value)
+            numbers = np.asarray(getattr(self, name))
             is_real = numbers.dtype.kind in "fiu"
-            if not (is_real and np.isfinite(numbers).all() and (numbers > 0).all()):
-                raise ConfigurationError(
-                    f"{name} is {value!r}, expected finite numbers > 0"
-                )
-            if (
+            dimensions = int(
                 name in ("hysteresis_widths", "presliding_rad", "gear_ratio")
-                and numbers.ndim != 1
+            )
+            if not (
+                is_real
+                and numbers.ndim == dimensions
+                and np.isfinite(numbers).all()
+                and (numbers > 0).all()
             ):
                 raise ConfigurationError(
-                    f"{name} must be a tuple of numbers, got {value!r}"
+                    f"{name} is {getattr(self, name)!r}, expected finite numbers > 0, "
+                    "of one number or of a tuple as by default"
                 )
 
 
@@ -183,25 +184,21 @@ def all_columns(
     """
     joints, link_columns = links.shape
     count = len(states)
-    has_ripple = len(ripple_per_rad) > 0
-    own_start = joints + link_columns
     # Behind the columns of the links each parameter has one column per joint.
-    sine_start = own_start + (count + 2) * joints
-    size = sine_start + (2 * joints if has_ripple else 0)
-    faded_age_s = -fading_s * math.expm1(-age_s / fading_s)
-    columns = np.zeros((joints, size))
+    own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
+    own[:count] = states
+    own[count] = age_s
+    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
+    if len(ripple_per_rad):
+        own[count + 2] = np.sin(ripple_per_rad * q)
+        own[count + 3] = np.cos(ripple_per_rad * q)
+    own_start = joints + link_columns
+    columns = np.zeros((joints, own_start + own.size))
+    columns[:, joints:own_start] = links
     for j in range(joints):
         columns[j, j] = 1.0
-        for k in range(link_columns):
-            columns[j, joints + k] = links[j, k]
-        for k in range(count):
-            columns[j, own_start + k * joints + j] = states[k, j]
-        columns[j, own_start + count * joints + j] = age_s
-        columns[j, own_start + (count + 1) * joints + j] = faded_age_s
-        if has_ripple:
-            phase = ripple_per_rad[j] * q[j]
-            columns[j, sine_start + j] = math.sin(phase)
-            columns[j, sine_start + joints + j] = math.cos(phase)
+        for k in range(len(own)):
+            columns[j, own_start + k * joints + j] = own[k, j]
     return columns
 
 

@@ -1,7 +1,5 @@
 """Refuses a tare that would hide a contact, and names likely causes of a residual."""
 
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,9 +9,7 @@ from residual.bias.fit import FreeMotionFit, JointRows
 from residual.bias.model import BiasModel, TareBlocks
 from residual.bias.torque_scale import TorqueDiagnosis, diagnose_torques
 from residual.errors import TareError
-
-if TYPE_CHECKING:
-    from residual.wrench_estimator import WrenchEstimator
+from residual.wrench_estimator import WrenchEstimator
 
 SIGMAS = 5.0
 """A force must exceed this many standard deviations to count as contact."""
@@ -22,21 +18,14 @@ INTERVALS = 24
 """Parts of the motion; a contact begins and ends with one of them."""
 
 
-class AxialForce(NamedTuple):
-    """A force along the needle, as a contact in a tare would make it.
-
-    Attributes:
-        force_N: The force.
-        std_N: Its standard deviation.
-    """
-
-    force_N: float
-    std_N: float
+AxialForce = tuple[float, float]
+"""A force along the needle, as a contact in a tare would make it, and its standard
+deviation [N]."""
 
 
 def check_free_of_contact(
     fit: FreeMotionFit,
-    wrench: "WrenchEstimator",
+    wrench: WrenchEstimator,
     contact_force_N: float,
     *,
     is_external: bool,
@@ -67,8 +56,8 @@ def check_free_of_contact(
     seen = ""
     if contacts:
         seen = (
-            f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 "
-            f"+/- {contacts[0].std_N:.2f} N is expected in free motion: "
+            f"the sensor reads {contacts[0][0]:.2f} N along the needle where 0 +/- "
+            f"{contacts[0][1]:.2f} N is expected in free motion: "
         )
     if is_external:
         if contacts:
@@ -92,7 +81,7 @@ def check_free_of_contact(
 def find_contacts(
     fit: FreeMotionFit,
     torque: Array,
-    wrench: "WrenchEstimator",
+    wrench: WrenchEstimator,
     contact_force_N: float,
 ) -> Steps[list[AxialForce]]:
     """Return the forces in a motion that count as contacts, standing ones first.
@@ -101,24 +90,24 @@ def find_contacts(
     """
     standing = yield from largest_standing_force(fit.basis, fit.blocks, wrench)
     forces = [standing]
-    if abs(standing.force_N) <= SIGMAS * standing.std_N:
+    if abs(standing[0]) <= SIGMAS * standing[1]:
         forces = yield from find_passing_contacts(fit, torque, wrench)
     return [
-        force
-        for force in forces
-        if abs(force.force_N) > max(contact_force_N, SIGMAS * force.std_N)
+        (force_N, std_N)
+        for force_N, std_N in forces
+        if abs(force_N) > max(contact_force_N, SIGMAS * std_N)
     ]
 
 
 def largest_standing_force(
-    basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
+    basis: BiasModel, blocks: TareBlocks, wrench: WrenchEstimator
 ) -> Steps[AxialForce]:
     """Return the axial force that is largest relative to its deviation at the prior.
 
     The gain of the wrench estimator is overwritten.
     """
     prior = basis.prior_tare
-    force = AxialForce(0.0, 0.0)
+    force: AxialForce = 0.0, 0.0
     excess = 0.0
     for number, interval in enumerate(split_into_intervals(len(blocks.age_s))):
         if number % 2 == 0:
@@ -131,13 +120,13 @@ def largest_standing_force(
         )
         estimate = wrench.estimate(q, blocks.residual_Nm[interval].mean(axis=0))
         if abs(estimate.axial) > excess * estimate.axial_std:
-            force = AxialForce(estimate.axial, estimate.axial_std)
+            force = estimate.axial, estimate.axial_std
             excess = abs(estimate.axial) / estimate.axial_std
     return force
 
 
 def find_passing_contacts(
-    fit: FreeMotionFit, torque: Array, wrench: "WrenchEstimator"
+    fit: FreeMotionFit, torque: Array, wrench: WrenchEstimator
 ) -> Steps[list[AxialForce]]:
     """Return axial forces of the likeliest contacts that begin or end in the motion.
 
@@ -164,8 +153,8 @@ def find_passing_contacts(
         basis, blocks, growing_torque, joint_rows=joint_rows
     )
     return [
-        AxialForce(*constant.contact_N(resistance_axis)),
-        AxialForce(*growing.contact_N(resistance_axis)),
+        constant.contact_N(resistance_axis),
+        growing.contact_N(resistance_axis),
     ]
 
 
@@ -187,7 +176,7 @@ def _fit_contact(
     )
 
 
-def tip_torques(blocks: TareBlocks, wrench: "WrenchEstimator") -> Steps[Array]:
+def tip_torques(blocks: TareBlocks, wrench: WrenchEstimator) -> Steps[Array]:
     """Return the torque per newton on the tip by the tool's axes, shape (m, n, 3)."""
     torque = np.empty((*blocks.q_rad.shape, 3))
     for k, q in enumerate(blocks.q_rad):

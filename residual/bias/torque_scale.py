@@ -69,8 +69,11 @@ class TorqueDiagnosis:
     def wrong_joints(self) -> list[int]:
         """Indices of joints whose torque is surely of another kind than the model's."""
         max_error = 0.4  # no sensor is so far off
-        errors = np.abs(self.joint_scale - 1.0)
-        return [k for k in self.deviating_joints if errors[k] > max_error]
+        return [
+            k
+            for k in self.deviating_joints
+            if abs(self.joint_scale[k] - 1.0) > max_error
+        ]
 
     @property
     def scale_doubt(self) -> float:
@@ -82,11 +85,10 @@ class TorqueDiagnosis:
         # A joint with less hardly feels a force along the needle; one of a wrong scale
         # may be the one that feels it.
         min_lever_m = 5e-3
-        errors = np.abs(self.joint_scale - 1.0)
-        wrong = [
-            k for k in self.deviating_joints if self.axial_lever_m[k] > min_lever_m
-        ]
-        return max([doubt, *errors[wrong].tolist()])
+        for k in self.deviating_joints:
+            if self.axial_lever_m[k] > min_lever_m:
+                doubt = max(doubt, abs(float(self.joint_scale[k]) - 1.0))
+        return doubt
 
     def describe_unchecked(self) -> str:
         """Return which joints show neither sign nor scale; empty if all do."""
@@ -189,14 +191,18 @@ class TorqueFit:
         products = np.einsum("kjp,kj->jp", columns, difference_Nm)
         sum_of_squares = np.square(difference_Nm).sum(axis=0)
 
-        def solve(octaves: Octaves) -> tuple[float, Array, Array, Array]:
+        def prior_std(octaves: Octaves) -> Array:
+            """Return the prior deviations with sizes, shape (p,)."""
+            return std * np.append(2.0 ** np.array(octaves[:-1]), 1.0)[groups]
+
+        def solve(octaves: Octaves) -> tuple[float, tuple[Array, Array]]:
             """Return log evidence, and what the unknowns follow from in prior units.
 
-            These are the Cholesky root of the normal matrix, the prior deviations with
-            their sizes, and the right-hand side behind the root.
+            These are the Cholesky root of the normal matrix, and the right-hand side
+            behind the root.
             """
             variance = self._noise + np.square(2.0 ** octaves[-1] * self._remaining)
-            scaled = std * np.append(2.0 ** np.array(octaves[:-1]), 1.0)[groups]
+            scaled = prior_std(octaves)
             information = np.tensordot(1.0 / variance, squares, axes=1)
             evidence = products.T @ (1.0 / variance)
             root = np.linalg.cholesky(
@@ -210,7 +216,7 @@ class TorqueFit:
             log -= 0.5 * len(difference_Nm) * np.log(variance).sum()
             # Sizes far from the prior's are less probable: deviations of exponents.
             log -= 0.5 * np.square(np.array(octaves) / (2.0, 1.0, 3.0, 3.0)).sum()
-            return float(log), np.asarray(root, float), scaled, whitened
+            return float(log), (np.asarray(root, float), whitened)
 
         yield
         if sizes is None:
@@ -221,9 +227,9 @@ class TorqueFit:
             sizes = yield from search_octaves(
                 lambda octaves: solve(octaves)[0], START_OCTAVES, grids, sweeps=2
             )
-        _, root, scaled_std, whitened = solve(sizes)
+        _, (root, whitened) = solve(sizes)
         yield
-        scaled = scaled_std[len(std) - count :]
+        scaled = prior_std(sizes)[len(std) - count :]
         # The last columns of the inverse root: the extra unknowns come last.
         units = np.eye(len(std))[:, len(std) - count :]
         inverse_root = solve_triangular(root, units, lower=True, check_finite=False)

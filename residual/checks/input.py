@@ -195,45 +195,31 @@ def vector_of_three(name: str, value: object) -> Array:
     return vector
 
 
-class SampleClock:
-    """Adds the time of rejected samples to that of the next valid one.
+def elapsed_time(dt_s: Any, missed_s: float) -> float:
+    """Return the time since the last sample that was used [s].
 
     A clock that goes back a little comes forward again: samples are rejected until it
-    has caught up. One that was set back by more than ``max_back_s``, or forward by more
-    than a day, goes on from there.
+    has caught up.
 
-    Attributes:
-        missed_s: Time since the last sample that was used, negative after a step back.
+    Args:
+        dt_s: Time since the last sample.
+        missed_s: Time from the last sample that was used to that one; negative after a
+            step back.
+
+    Raises:
+        SampleError: For a time step that does not advance, or a clock that was set.
     """
-
-    def __init__(self, max_back_s: float) -> None:
-        self._max_back_s = max_back_s
-        self.missed_s = 0.0
-
-    def elapsed(self, dt_s: float) -> float:
-        """Return the time since the last sample that was used [s].
-
-        Raises:
-            SampleError: For a time step that does not advance, or for a clock that was
-                set.
-        """
-        dt_s = check_interval(dt_s)
-        if not self.missed_s:
-            return dt_s
-        elapsed_s = dt_s + self.missed_s
-        if elapsed_s <= 0.0:
-            raise SampleError(
-                f"dt_s is {dt_s!r} s after a clock that went back by "
-                f"{-self.missed_s:.3g} s; rejected until it has caught up",
-                NEXT_TIME_STEP,
-            )
-        return min(elapsed_s, MAX_STEP_S)
-
-    def miss(self, dt_s: object) -> None:
-        """Add the time of a rejected sample, if it has a valid one."""
-        step_s = as_float(dt_s)
-        if -self._max_back_s < step_s <= MAX_STEP_S:
-            self.missed_s += step_s
+    step_s = check_interval(dt_s)
+    if not missed_s:
+        return step_s
+    elapsed_s = step_s + missed_s
+    if elapsed_s <= 0.0:
+        raise SampleError(
+            f"dt_s is {step_s!r} s after a clock that went back by {-missed_s:.3g} s; "
+            "rejected until it has caught up",
+            NEXT_TIME_STEP,
+        )
+    return min(elapsed_s, MAX_STEP_S)
 
 
 def known_limits(limits: Array, instead: float) -> Array:

@@ -62,7 +62,8 @@ class ConsistencyMonitor:
         state: Its state.
         torques: Changes of the torque; none before the tare.
         level_Nm: Its field.
-        jump_Nm2: Its property.
+        jump_Nm2: Its property, like the next one.
+        is_measuring_jump: Whether a torque has jumped, by how much is not known yet.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
         velocity_fault: Certain faults of measured velocities, in words; empty if there
             are none.
@@ -219,6 +220,7 @@ class ConsistencyMonitor:
         self.torques = state.torques or self._idle
         self.level_Nm = self.torques.level_Nm
         self.jump_Nm2 = self.torques.jump_Nm2
+        self.is_measuring_jump = self.torques.is_measuring
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
         self.mismatch = math.sqrt(state.mismatch_squared)
         self.warnings = SensorWarning(state.warnings)

@@ -191,6 +191,15 @@ def find_jumps(
 
 
 @compiled_inside
+def rate_deviation(signals: Vector, known: Matrix, count: int, dt_s: float) -> Array:
+    """Return the deviation of velocities from the rate of positions [rad/s], (n,).
+
+    Arguments are those of `judge_step`, and the number n of joints.
+    """
+    return signals[count : 2 * count] - (signals[:count] - known[LAST, :count]) / dt_s
+
+
+@compiled_inside
 def rate_error(
     signals: Vector,
     known: Matrix,
@@ -211,16 +220,12 @@ def rate_error(
     """
     jerk_rad_s2 = 0.2  # a change of acceleration beside the noise
     count = joints.shape[1]
-    total = 0.0
     if compared_s < LEARNING_S or not (0.0 < dt_s <= MAX_HOLD_S and step_s > 0.0):
-        return total
-    for j in range(count):
-        rate = (signals[j] - known[LAST, j]) / dt_s
-        change = signals[count + j] - rate - joints[DEVIATION, j]
-        own_change = signals[count + j] - known[LAST, count + j]
-        smallest = min(change * change, own_change * own_change)
-        total += smallest / (joints[USUAL, j] + (jerk_rad_s2 * dt_s) ** 2)
-    return total
+        return 0.0
+    change = rate_deviation(signals, known, count, dt_s) - joints[DEVIATION]
+    own_change = signals[count : 2 * count] - known[LAST, count : 2 * count]
+    smallest = np.minimum(change * change, own_change * own_change)
+    return (smallest / (joints[USUAL] + (jerk_rad_s2 * dt_s) ** 2)).sum()
 
 
 @compiled_inside
@@ -324,13 +329,12 @@ def compare_rate(
         joints[DEVIATION, :] = 0.0
         return
     weight = min(dt_s / min(compared_s + dt_s, usual_deviation_s), 1.0)
-    for j in range(count):
-        deviation = signals[count + j] - (signals[j] - known[LAST, j]) / dt_s
-        square = (deviation - joints[DEVIATION, j]) ** 2
-        if compared_s >= LEARNING_S:
-            square = min(square, largest_ratio * joints[USUAL, j])
-        joints[USUAL, j] += weight * (square - joints[USUAL, j])
-        joints[DEVIATION, j] = deviation
+    deviation = rate_deviation(signals, known, count, dt_s)
+    squares = (deviation - joints[DEVIATION]) ** 2
+    if compared_s >= LEARNING_S:
+        squares = np.minimum(squares, largest_ratio * joints[USUAL])
+    joints[USUAL] += weight * (squares - joints[USUAL])
+    joints[DEVIATION] = deviation
 
 
 @compiled
@@ -384,26 +388,6 @@ def accept_step(
     return max(known[STILL, first_torque:].max(), held_s)
 
 
-def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
-    """Return whether a plausible force on the tool explains a jump of the torques.
-
-    Args:
-        jacobian: Of the tool's linear velocity, shape (3, n).
-        jump: Of the torques [Nm], shape (n,).
-        scale: Jump that each joint may make without a reason [Nm], shape (n,).
-    """
-    # A rupture is newtons, a contact tens.
-    max_force_N = 100.0
-    # A spike of one joint leaves most of itself.
-    max_unexplained_ratio = 0.35
-    rows = jacobian.T / scale[:, None]
-    scaled_jump = jump / scale
-    force = np.linalg.lstsq(rows, scaled_jump, rcond=None)[0]
-    remaining = np.linalg.norm(scaled_jump - rows.dot(force))
-    is_explained = remaining <= max_unexplained_ratio * np.linalg.norm(scaled_jump)
-    return bool(is_explained and np.linalg.norm(force) <= max_force_N)
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
     """State of a `FaultDetector`.
@@ -418,7 +402,6 @@ class GuardState:
         missed_s: Time for which samples have been held back for a jump.
         stayed_s: Time for which these agree with each other.
         compared_s: Time for which velocities have been compared with positions.
-        still_s: Longest time for which a torque has repeated, or all positions have.
     """
 
     known: Array
@@ -430,7 +413,6 @@ class GuardState:
     missed_s: float = 0.0
     stayed_s: float = 0.0
     compared_s: float = 0.0
-    still_s: float = 0.0
 
 
 class FaultDetector:
@@ -455,11 +437,12 @@ class FaultDetector:
     ) -> None:
         self._names = names
         self._delay_s = velocity_delay_s
-        limits = (
-            known_limits(robot.effort_limit_Nm, instead)
-            for instead in (np.inf, UNKNOWN_EFFORT_NM)
+        self._limits_Nm = np.stack(
+            [
+                known_limits(robot.effort_limit_Nm, instead)
+                for instead in (np.inf, UNKNOWN_EFFORT_NM)
+            ]
         )
-        self._limits_Nm = np.stack(list(limits))
         self._tool = tool
         size = len(names) * robot.nv
         self._has_jumped = np.zeros(size)
@@ -583,27 +566,36 @@ class FaultDetector:
         self, has_jumped: NDArray[np.bool_], rows: Array, reference: Array
     ) -> bool:
         """Return whether only torques have jumped, and as by a force on the tool."""
+        # A rupture is newtons, a contact tens.
+        max_force_N = 100.0
+        # A spike of one joint leaves most of itself.
+        max_unexplained_ratio = 0.35
         if has_jumped[:-1].any():
             return False
         joints = rows.shape[1]
+        scale_Nm = self.memory.known[GATE, -joints:]  # jumps without a reason
         self._tool.update(rows[0])
-        return is_contact(
-            self._tool.jacobian[:3],
-            rows[-1] - reference[-joints:],
-            self.memory.known[GATE, -joints:],
-        )
+        levers = self._tool.jacobian[:3].T / scale_Nm[:, None]
+        jump = (rows[-1] - reference[-joints:]) / scale_Nm
+        force_N = np.linalg.lstsq(levers, jump, rcond=None)[0]
+        remaining = np.linalg.norm(jump - levers.dot(force_N))
+        is_explained = remaining <= max_unexplained_ratio * np.linalg.norm(jump)
+        return bool(is_explained and np.linalg.norm(force_N) <= max_force_N)
 
-    def accept(self, rows: Array, velocity: Array, dt_s: float) -> None:
+    def accept(self, rows: Array, velocity: Array, dt_s: float) -> bool:
         """Remember the sample that was last checked, which has been used.
 
         Args:
             rows: The sample, as of `check`.
             velocity: Its joint velocity, measured or estimated [rad/s], shape (n,).
             dt_s: Time since the one before; 0 for the first sample.
+
+        Returns:
+            Whether signals have not changed for a while: see `stale_signals`.
         """
         memory = self.memory
         signals = rows.ravel()
-        memory.still_s = accept_step(
+        still_s = accept_step(
             signals,
             velocity,
             memory.known,
@@ -621,6 +613,7 @@ class FaultDetector:
             samples = memory.probe.add(signals, dt_s)
             if samples is not None:
                 self._learn(samples, LEARNING_S - memory.probe.left_s)
+        return still_s >= MIN_ALONE_S
 
     def _learn(self, samples: Array, seconds: float) -> None:
         """Learn noise and resolution of the first samples, shape (m, size).
@@ -631,7 +624,7 @@ class FaultDetector:
         min_position_step_rad = 1e-4
         # A torque may step by this fraction of the effort limit for no reason. On the
         # LWR that is 3.5 Nm at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist;
-        # what a force on the tool explains may step by more, see `is_contact`.
+        # what a force on the tool explains may step by more, see `_is_contact`.
         torque_ratio = 0.02
         # The gears of a moving wrist of 12 Nm make as much in a millisecond.
         min_torque_step_Nm = 0.7
@@ -666,34 +659,28 @@ class FaultDetector:
         alone_s = max(MIN_ALONE_S, stuck_ratio * usual_s[1])
         memory.alone_s = np.where(has_noise, alone_s, np.inf)
 
-    @property
-    def seems_stale(self) -> bool:
-        """Whether signals have not changed for a while: see the next two."""
-        return self.memory.still_s >= MIN_ALONE_S
+    def stale_signals(self) -> tuple[str, str]:
+        """Return which accepted signals seem frozen, and which torques may be missing.
 
-    @property
-    def warning(self) -> str:
-        """Which accepted signals seem frozen, in words; empty if none."""
+        In words; empty if none. Those that may be missing do not change.
+        """
         memory = self.memory
         joints = memory.joints.shape[1]
         still_s = memory.known[STILL]
+        frozen = ""
         stuck = np.flatnonzero(still_s[-joints:] >= memory.alone_s)
         if stuck.size:
-            return f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
-        if still_s[:-joints].min() > memory.stuck_s[0]:
-            return "q and dq of all joints still repeat bit for bit: does the arm rest?"
-        return ""
-
-    @property
-    def question(self) -> str:
-        """Which torques may be missing, as they do not change; empty if none."""
-        joints = self.memory.joints.shape[1]
-        still = np.flatnonzero(self.memory.known[STILL, -joints:] >= 1.0)
-        if not still.size:
-            return ""
-        return (
-            f"tau at {named_joints(still)} has not changed for a second: is it stale?"
-        )
+            frozen = f"tau at {named_joints(stuck)} repeats: check its sensor"
+        elif still_s[:-joints].min() > memory.stuck_s[0]:
+            frozen = "q and dq of all joints still repeat: does the arm rest?"
+        question = ""
+        still = np.flatnonzero(still_s[-joints:] >= 1.0)
+        if still.size:
+            question = (
+                f"tau at {named_joints(still)} has not changed for a second: is it "
+                "stale?"
+            )
+        return frozen, question
 
 
 def longest_repeat(rows: Array) -> int:

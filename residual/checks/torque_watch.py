@@ -130,16 +130,15 @@ def fit_steps(
         covariance[i, i] += (lever_error * largest_Nm) ** 2
     precision = invert_beside_force(rows, covariance, force_N)
     weighted = multiply_vector(precision, change)
-    ratios = np.zeros(joints)
-    steps_Nm = np.zeros(joints)
-    variances_Nm2 = np.zeros(joints)
-    for j in range(joints):
-        variances_Nm2[j] = 1.0 / precision[j, j]
-        steps_Nm[j] = weighted[j] * variances_Nm2[j]
-        ratios[j] = weighted[j] * steps_Nm[j]
+    variances_Nm2 = 1.0 / np.diag(precision)
+    steps_Nm = weighted * variances_Nm2
     remaining_Nm = multiply_vector(covariance, weighted)
     return TorqueSteps(
-        ratios, steps_Nm, variances_Nm2, remaining_Nm, dot(change, weighted)
+        weighted * steps_Nm,
+        steps_Nm,
+        variances_Nm2,
+        remaining_Nm,
+        dot(change, weighted),
     )
 
 

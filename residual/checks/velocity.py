@@ -79,45 +79,35 @@ def velocity_match_step(
     # of 50 Hz, seen every 20 ms, make 0.02 rad.
     tolerated_lag_s = 0.03
     tolerated_rad = 0.02
-    joints = len(q)
-    after = VelocityMatch(
+    step_rad = q - before.q
+    step_dq_rad = 0.5 * dt_s * (dq + before.dq)
+    rate = step_rad / dt_s
+    has_jumped = np.abs(rate - before.rate) > max_acceleration_rad_s2 * dt_s
+    travel = np.zeros(len(q))
+    travel_dq = np.zeros(len(q))
+    if dt_s <= max_trapezoid_s and not has_jumped.any():
+        fading = math.exp(-dt_s / travel_s)
+        travel = fading * before.travel + step_rad
+        travel_dq = fading * before.travel_dq + step_dq_rad
+    larger_step_rad = np.maximum(np.abs(step_rad), np.abs(step_dq_rad))
+    tolerated = tolerated_rad + tolerated_lag_s / dt_s * larger_step_rad
+    excess = np.maximum(np.abs(travel_dq - travel) - tolerated, 0.0)
+    moved_rad = np.maximum(np.abs(travel), np.abs(travel_dq) / dq_ratio)
+    weight_s = np.where(moved_rad > min_travel_rad, dt_s, 0.0)
+    faded = np.where(moved_rad > min_travel_rad, 1.0 - math.exp(-dt_s / memory_s), 0.0)
+    return VelocityMatch(
         q.copy(),
         dq.copy(),
-        np.zeros(joints),
-        np.zeros(joints),
-        np.zeros(joints),
-        before.checked_s.copy(),
-        before.excess.copy(),
-        before.square.copy(),
-        before.square_dq.copy(),
-        before.product.copy(),
+        rate,
+        travel,
+        travel_dq,
+        before.checked_s + (weight_s - faded * before.checked_s),
+        before.excess + (weight_s * excess * excess - faded * before.excess),
+        before.square + (weight_s * travel * travel - faded * before.square),
+        before.square_dq
+        + (weight_s * travel_dq * travel_dq - faded * before.square_dq),
+        before.product + (weight_s * travel * travel_dq - faded * before.product),
     )
-    is_continued = dt_s <= max_trapezoid_s
-    for j in range(joints):
-        after.rate[j] = (q[j] - before.q[j]) / dt_s
-        rate_change = abs(after.rate[j] - before.rate[j])
-        is_continued = is_continued and rate_change <= max_acceleration_rad_s2 * dt_s
-    fading = math.exp(-dt_s / travel_s)
-    faded = 1.0 - math.exp(-dt_s / memory_s)
-    for j in range(joints):
-        step = q[j] - before.q[j]
-        step_dq = 0.5 * dt_s * (dq[j] + before.dq[j])
-        if is_continued:
-            after.travel[j] = fading * before.travel[j] + step
-            after.travel_dq[j] = fading * before.travel_dq[j] + step_dq
-        travel = after.travel[j]
-        travel_dq = after.travel_dq[j]
-        if max(abs(travel), abs(travel_dq) / dq_ratio) <= min_travel_rad:
-            continue
-        larger_step = max(abs(step), abs(step_dq))
-        tolerated = tolerated_rad + tolerated_lag_s / dt_s * larger_step
-        excess = max(abs(travel_dq - travel) - tolerated, 0.0)
-        after.checked_s[j] += dt_s - faded * before.checked_s[j]
-        after.excess[j] += dt_s * excess * excess - faded * before.excess[j]
-        after.square[j] += dt_s * travel * travel - faded * before.square[j]
-        after.square_dq[j] += dt_s * travel_dq * travel_dq - faded * before.square_dq[j]
-        after.product[j] += dt_s * travel * travel_dq - faded * before.product[j]
-    return after
 
 
 def velocity_fault(match: VelocityMatch) -> str:

@@ -16,7 +16,7 @@ KINDS = {"observer": MomentumState}
 
 def state_of(order="C"):
     rows = np.array(np.random.default_rng(0).normal(size=(9, 7)), order=order)
-    return MomentumState(rows, started=True)
+    return MomentumState(rows, np.zeros(0), started=True)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -39,7 +39,7 @@ class Harm:
 @pytest.mark.parametrize("value", [object(), Harm(), os.system, {1j}])
 def test_what_is_no_state_is_neither_written_nor_read(value, tmp_path):
     with pytest.raises(StateError):
-        seal_state(MomentumState(value), "observer")
+        seal_state(MomentumState(value, np.zeros(0)), "observer")
 
     path = tmp_path / "a.state"
     data = pickle.dumps(value)

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from groundtruth import SCENARIOS, Tissue, insert_needle, random_stack, scenario
-from groundtruth.errors import MotionError, PlantModelError, ScenarioError
+from groundtruth.errors import MotionError, ScenarioError
 from groundtruth.materials import TABLE_I_SPEED_M_S
 from groundtruth.motion import (
     TARE_STROKE_M,
-    Motion,
-    Stroke,
     Tremor,
     constant_motion,
     sinusoidal_motion,
@@ -43,11 +41,6 @@ def test_a_tremor_swings_between_tare_and_withdrawal():
     assert np.count_nonzero(np.diff(np.sign(swing_m)) > 0) == 8
 
 
-def test_a_tremor_without_size_is_refused():
-    with pytest.raises(MotionError, match="amplitude_m"):
-        Tremor(amplitude_m=0.0, frequency_hz=8.0)
-
-
 @pytest.mark.parametrize("motion", [CONSTANT, SINE, FREE])
 def test_speed_is_the_bounded_rate_of_position(motion):
     t = np.linspace(-1.0, motion.duration_s + 1.0, 20_001)
@@ -61,15 +54,11 @@ def test_speed_is_the_bounded_rate_of_position(motion):
 
     assert np.abs(acceleration).max() < 0.05
 
-    for t in (
-        0.0,
-        0.5,
-        1.0,
-        motion.duration_s - 0.25,
-        motion.duration_s,
-        motion.duration_s + 9.0,
-    ):
-        assert motion.speed_m_s(t) == 0.0
+    rests_s = np.array(
+        [0.0, 0.5, 1.0, motion.duration_s - 0.25, motion.duration_s + 9.0]
+    )
+
+    assert not motion.speed_m_s(rests_s).any()
 
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE])
@@ -119,34 +108,31 @@ def test_impossible_motions_are_refused():
         constant_motion(speed_m_s=0.1, depth_m=0.01, standoff_m=0.01)
     with pytest.raises(MotionError, match="above the surface"):
         sinusoidal_motion(stroke_m=0.02, frequency_hz=0.016, standoff_m=0.02)
-    with pytest.raises(MotionError, match="not finite"):
-        CONSTANT.position_m(float("nan"))
 
     for make, good in GOOD.items():
         for field, value in product(good, (0.0, float("nan"))):
             with pytest.raises(MotionError, match=field):
                 make(**{**good, field: value})
-    names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
-    resting = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
-    strokes = tuple(Stroke(**resting, start_s=start_s) for start_s in (0.0, 2.0))
-
-    with pytest.raises(MotionError, match="follow each other"):
-        Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
 
-GELS = [
-    f"gel-{percent}-{kind}"
-    for percent in (25, 50, 70)
-    for kind in ("constant", "sinusoidal")
-]
-STACKS = [
-    "stack-constant",
-    "stack-sinusoidal",
-    "stack-glove-constant",
-    "stack-glove-sinusoidal",
-]
-RUPTURES = dict.fromkeys(GELS, 1) | dict.fromkeys(STACKS, 3)
-RUPTURES |= {"liver-constant": 2, "abdomen-sinusoidal": 3}
+RUPTURES = {
+    **{
+        f"gel-{k}-{kind}": 1
+        for k in (25, 50, 70)
+        for kind in ("constant", "sinusoidal")
+    },
+    **dict.fromkeys(
+        (
+            "stack-constant",
+            "stack-sinusoidal",
+            "stack-glove-constant",
+            "stack-glove-sinusoidal",
+            "abdomen-sinusoidal",
+        ),
+        3,
+    ),
+    "liver-constant": 2,
+}
 DRAWN = [random_stack(np.random.default_rng(seed)) for seed in range(200)]
 NEEDLE_M = 0.153
 
@@ -285,24 +271,18 @@ def test_unusable_settings_are_refused_by_name():
     for value in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(MotionError, match="rate_hz"):
             insert_needle("gel-25-constant", rate_hz=value)
-    with pytest.raises(PlantModelError, match="white_std_N"):
-        ForceNoise(white_std_N=-1.0)
 
 
 @pytest.mark.slow
 def test_drawn_stacks_are_physical_and_rupture_everywhere():
-    assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
-    assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
-
     layers = [layer for stack in DRAWN for layer in stack.layers]
     with_membrane = np.mean([layer.membrane is not None for layer in layers])
-
-    assert with_membrane == pytest.approx(0.25, abs=0.1)
-
     friction = [layer.friction.sliding_N_per_m(TABLE_I_SPEED_M_S) for layer in layers]
 
+    assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
+    assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
+    assert with_membrane == pytest.approx(0.25, abs=0.1)
     assert 1.0 < min(friction) < max(friction) < 60.0
-
     for stack in DRAWN[:6]:
         run = insert_needle(stack, rate_hz=200.0)
         boundaries = [b for b in Tissue(stack.layers).interfaces if b.drop_N > 0.0]

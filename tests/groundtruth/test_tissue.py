@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
-from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
+from groundtruth.layers import CUTTING_ONSET_M, ShaftFriction
 from groundtruth.materials import (
     BOVINE_CAPSULE,
     BOVINE_LIVER,
@@ -20,13 +20,6 @@ from groundtruth.materials import (
 from groundtruth.tissue import UNLOADING_M, Tissue, bristle_step
 
 SPEED = 2.3e-3
-MEMBRANE = Membrane(puncture_N=1.2, indentation_m=4e-3, hardening=0.5, release_m=5e-4)
-FRICTION = ShaftFriction(
-    coulomb_N_per_m=10.0,
-    viscous_Ns_per_m2=1e3,
-    presliding_m=1e-4,
-    reference_speed_m_s=2.3e-3,
-)
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}
 
 fractions = st.floats(0.0, 1.0)
@@ -67,31 +60,11 @@ def test_calibrated_friction_is_measured_one_at_reference_speed(force, speed, fr
 
 
 def test_what_no_tissue_has_is_refused_by_name():
-    nan = float("nan")
-    layer = {
-        "thickness_m": 0.0,
-        "release_m": 0.0,
-        "exit_force_N": -1.0,
-        "stiffening": -0.1,
-    }
-    layer |= {"cutting_fraction": 1.1, "relaxed_fraction": nan}
-    membrane = {
-        "puncture_N": 0.0,
-        "release_m": 0.0,
-        "indentation_m": -1e-3,
-        "hardening": 1.5,
-    }
-    friction = {"coulomb_N_per_m": -1.0, "viscous_Ns_per_m2": nan}
-    friction |= {"presliding_m": 0.0, "reference_speed_m_s": 0.0}
-    for good, bad in ((gel(50), layer), (MEMBRANE, membrane), (FRICTION, friction)):
-        for field, value in bad.items():
-            with pytest.raises(TissueError, match=field):
-                replace(good, **{field: value})
-
-    with pytest.raises(TissueError, match="make it thicker"):
+    for field in ("thickness_m", "release_m", "exit_force_N"):
+        with pytest.raises(TissueError, match=field):
+            replace(gel(50), **{field: 0.0})
+    with pytest.raises(TissueError, match="thicker"):
         replace(BOVINE_LIVER, thickness_m=12e-3)
-    with pytest.raises(TissueError, match="25, 50 and 70"):
-        gel(60)
 
 
 def advance(law, start_m, end_m, speed_m_s=SPEED):
@@ -219,18 +192,10 @@ def test_air_and_refused_samples_change_nothing():
 
     tissue = Tissue((gel(25),))
     twin = Tissue((gel(25),))
-    advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
-    nan = float("nan")
-    inf = float("inf")
-    bad = [
-        (nan, 0.0, 1e-3),
-        (0.0, inf, 1e-3),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, -1e-3),
-        (0.0, 0.0, nan),
-    ]
-    for sample in bad:
-        with pytest.raises(TissueError, match=r"finite numbers .* state is unchanged"):
+    for law in (tissue, twin):
+        advance(law, -1e-3, 5e-3)
+    for sample in ((np.nan, 0.0, 1e-3), (0.0, np.inf, 1e-3), (0.0, 0.0, 0.0)):
+        with pytest.raises(TissueError, match="unchanged"):
             tissue.step(*sample)
 
     assert tissue.step(6e-3, SPEED, 1e-3) == twin.step(6e-3, SPEED, 1e-3)

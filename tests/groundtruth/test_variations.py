@@ -4,8 +4,8 @@ else."""
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, insert_needle, random_stack
-from groundtruth.errors import ScenarioError, TissueError
+from groundtruth import insert_needle, random_stack
+from groundtruth.errors import ScenarioError
 from groundtruth.layers import KEPT_FADE_M, Texture
 from groundtruth.materials import gel
 from groundtruth.scenarios import random_tissue, scenario
@@ -65,9 +65,6 @@ def test_texture_has_stated_spread_and_correlation():
         together = (force[:, apart:] * force[:, :-apart]).mean() / force.var()
         assert together == pytest.approx(np.exp(-((lag / 0.5e-3) ** 2) / 2.0), abs=0.05)
 
-    with pytest.raises(TissueError, match="std_N"):
-        Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
-
 
 def test_kept_tip_force_fades_after_an_internal_rupture():
     layers = (gel(70), gel(70))
@@ -113,10 +110,7 @@ def test_random_tissue_is_random_stack_with_drawn_laws():
 
     assert scenario(rough, 1) == scenario(rough, 1) != scenario(rough, 2)
     assert scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
-    assert "gel-70-constant" in SCENARIOS
-    with pytest.raises(
-        ScenarioError, match=r"no variation 'soft'; known: texture-15mN"
-    ):
+    with pytest.raises(ScenarioError, match="soft"):
         scenario("gel-70-constant+soft", 0)
 
     stacks = [random_stack(np.random.default_rng(seed)) for seed in range(60)]

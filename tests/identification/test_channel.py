@@ -7,7 +7,7 @@ import pytest
 
 from identification import Identifier
 from identification.channel import ChannelFriction, continue_channel
-from tests.identification.worlds import rows_of, run
+from tests.identification.worlds import noisy, rows_of, run
 
 STEP_S = 4e-3
 SPEED_M_S = 4e-3
@@ -15,17 +15,16 @@ SPEED_M_S = 4e-3
 
 def in_air(zero_N):
     """An identifier after 4 s of free air, with a force of that mean there."""
-    noise_N = 0.003 * np.random.default_rng(0).standard_normal(1000)
     depth_m = -16e-3 + SPEED_M_S * STEP_S * np.arange(1000)
-    return run(rows_of(depth_m, SPEED_M_S, zero_N + noise_N, STEP_S))[0]
+    force_N = noisy(np.full(1000, zero_N), 0.003, 0)
+    return run(rows_of(depth_m, SPEED_M_S, force_N, STEP_S))[0]
 
 
 @cache
 def channel_of_ten_millimetres():
     """What an identifier knows of a channel that it has cut, with the zero at 0 N."""
-    noise_N = 0.003 * np.random.default_rng(1).standard_normal(625)
     depth_m = SPEED_M_S * STEP_S * np.arange(625)
-    rows = rows_of(depth_m, SPEED_M_S, 80.0 * depth_m + noise_N, STEP_S)
+    rows = rows_of(depth_m, SPEED_M_S, noisy(80.0 * depth_m, 0.003, 1), STEP_S)
     return run(rows, in_air(0.0))[0].snapshot()
 
 

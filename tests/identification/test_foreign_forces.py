@@ -8,7 +8,7 @@ import pytest
 from identification import SampleStatus, TissueWarning
 from identification.mixture.block import Block
 from identification.mixture.foreign_force import NeedlePull, NetForce, RestForce
-from tests.identification.worlds import rows_of, run, straight
+from tests.identification.worlds import noisy, rows_of, run, straight
 
 STEP_S = 2e-3
 SPEED_M_S = 5e-3
@@ -23,8 +23,7 @@ def course():
     first_N = np.minimum(into_m, 15e-3) * 60.0
     second_N = np.maximum(into_m - 15e-3, 0.0) * 40.0
     tip_N = np.where(into_m < 15e-3, into_m * 40.0, 0.0)
-    noise_N = 0.01 * np.random.default_rng(3).normal(size=len(depth_m))
-    return depth_m, 0.4 * first_N + second_N + tip_N + noise_N
+    return depth_m, noisy(0.4 * first_N + second_N + tip_N, 0.01, 3)
 
 
 def insert(fault_N, end=TICKS, force_std_N=0.0):
@@ -100,9 +99,8 @@ def test_a_drift_below_zero_is_reported_and_its_alarms_retracted():
 
 
 def test_a_force_that_stays_below_zero_becomes_a_new_zero():
-    noise_N = 0.01 * np.random.default_rng(5).normal(size=3_000)
     ticks = np.arange(3_000)
-    force_N = noise_N - (ticks >= 700)
+    force_N = noisy(-1.0 * (ticks >= 700), 0.01, 5)
     _, estimates = run(rows_of(1e-5 * ticks, SPEED_M_S, force_N, STEP_S))
 
     assert 700 <= reported(estimates)[0] < 710
@@ -259,8 +257,7 @@ def test_a_hand_that_lets_go_ends_it():
 def test_a_force_that_jumps_at_a_resting_needle_is_reported(change_N, is_foreign):
     rows = straight(seed=2)[:3_500]
     identifier, _ = run(rows)
-    noise_N = 5e-3 * np.random.default_rng(4).standard_normal(2_000)
-    forces_N = 0.5 + noise_N + change_N * (np.arange(2_000) > 1_500)
+    forces_N = noisy(0.5 + change_N * (np.arange(2_000) > 1_500), 5e-3, 4)
     _, estimates = run(rows_of(rows[-1].depth_m, 0.0, forces_N, 1e-3), identifier)
 
     assert bool(reported(estimates)) == is_foreign

@@ -15,6 +15,7 @@ from tests.identification.worlds import (
     assert_both_found,
     insertion,
     kept_ruptures,
+    noisy,
     rms,
     rows_of,
     run,
@@ -203,8 +204,7 @@ def test_withdrawal_meets_friction_only_and_ends_in_free_air():
 def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed):
     depth_m = np.arange(0.0, 20e-3, 5e-5)
     pushed_m = np.where(depth_m < 12e-3, np.maximum(depth_m - 5e-3, 0.0), 0.0)
-    noise_N = 0.01 * np.random.default_rng(seed).standard_normal(len(depth_m))
-    force_N = stiffness_N_per_m * pushed_m + noise_N
+    force_N = noisy(stiffness_N_per_m * pushed_m, 0.01, seed)
     (layer,) = replay(0.01 * np.arange(len(depth_m)), depth_m, force_N).layers
 
     error = layer.stiffness_N_per_m - stiffness_N_per_m
@@ -228,11 +228,10 @@ def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
 def test_thin_layers_crossed_in_two_seconds_each_are_found_one_and_all():
     """Falls that follow one another are no heartbeat: each stays, and is a rupture."""
     thickness_m = 6e-3
-    noise_N = np.random.default_rng(1).normal(0.0, 5e-3, 6_250)
     depth_m = 3e-3 * 4e-3 * np.arange(6_250) - 2e-3
     in_tissue_m = np.maximum(depth_m, 0.0)
-    force_N = 60.0 * (in_tissue_m % thickness_m) + 1.7 * in_tissue_m + noise_N
-    _, estimates = run(rows_of(depth_m, 3e-3, force_N, 4e-3))
+    force_N = 60.0 * (in_tissue_m % thickness_m) + 1.7 * in_tissue_m
+    _, estimates = run(rows_of(depth_m, 3e-3, noisy(force_N, 5e-3, 1), 4e-3))
     alarms_m = [rupture.depth_m for rupture in values_of(estimates, "rupture")]
 
     assert alarms_m == pytest.approx(thickness_m * np.arange(1, 13), abs=0.3e-3)
@@ -263,10 +262,9 @@ def test_a_rough_layer_stays_uncertain_behind_a_smooth_one():
 )
 def test_a_rupture_releases_more_than_a_tenth_of_a_newton(released_N, is_reported):
     """Less is texture: the least rupture seen in real liver is 0.15 N."""
-    noise_N = 2e-3 * np.random.default_rng(0).standard_normal(3_000)
     depth_m = 4e-3 * 2e-3 * np.arange(3_000) - 4e-3
     fallen_N = released_N * np.clip((depth_m - 12e-3) / 0.2e-3, 0.0, 1.0)
-    force_N = 20.0 * np.maximum(depth_m, 0.0) - fallen_N + noise_N
+    force_N = noisy(20.0 * np.maximum(depth_m, 0.0) - fallen_N, 2e-3, 0)
     _, estimates = run(rows_of(depth_m, 4e-3, force_N, 2e-3))
 
     assert bool(kept_ruptures(estimates)) == is_reported
@@ -275,13 +273,12 @@ def test_a_rupture_releases_more_than_a_tenth_of_a_newton(released_N, is_reporte
 @pytest.mark.parametrize("has_speed", [True, False])
 def test_friction_that_falls_as_the_needle_brakes_is_no_rupture(has_speed):
     """The needle slows down from 4 to 1.5 mm/s; all of the force is viscous."""
-    noise_N = 5e-3 * np.random.default_rng(0).standard_normal(8_000)
     braking_s = 1e-3 * (np.arange(8_000) - 6_000)
     speed_m_s = np.clip(4e-3 - 20e-3 * braking_s, 1.5e-3, 4e-3)
     depth_m = 1e-3 * np.cumsum(speed_m_s) - 4e-3
     force_N = 50.0 * np.maximum(depth_m, 0.0) * (0.2 + 0.8 * speed_m_s / 4e-3)
     seen_m_s = speed_m_s if has_speed else None
-    _, estimates = run(rows_of(depth_m, seen_m_s, force_N + noise_N, 1e-3))
+    _, estimates = run(rows_of(depth_m, seen_m_s, noisy(force_N, 5e-3, 0), 1e-3))
 
     assert estimates[6_300].predicted_force_N < 0.6 * estimates[5_999].predicted_force_N
     assert values_of(estimates, "rupture") == []

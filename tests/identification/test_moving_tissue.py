@@ -16,6 +16,7 @@ from identification.mixture.tissue_doubt import TissuePull
 from tests.identification.worlds import (
     follow,
     kept_ruptures,
+    noisy,
     rows_of,
     run,
     samples_of,
@@ -122,8 +123,7 @@ def test_a_log_too_slow_for_a_heartbeat_is_identified(dt_s):
     t_s = np.arange(0.0, 40.0, dt_s)
     depth_m = 1e-3 * t_s - 3e-3
     breath_N = 0.2 * np.sin(2.0 * np.pi * 0.25 * t_s) * (depth_m > 0.0)
-    noise_N = 5e-3 * np.random.default_rng(1).standard_normal(len(t_s))
-    force_N = 30.0 * np.maximum(depth_m, 0.0) + breath_N + noise_N
+    force_N = noisy(30.0 * np.maximum(depth_m, 0.0) + breath_N, 5e-3, 1)
     _, estimates = run(rows_of(depth_m, 1e-3, force_N, dt_s))
 
     assert estimates[-1].status is SampleStatus.OK

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identification import replay
-from tests.identification.worlds import insertion, rows_of, run
+from tests.identification.worlds import insertion, noisy, rows_of, run
 
 
 def stopped(kept_friction, kept_tip, seed=0, speed_m_s=3e-3, stop_m=40e-3):
@@ -15,7 +15,6 @@ def stopped(kept_friction, kept_tip, seed=0, speed_m_s=3e-3, stop_m=40e-3):
     Returns:
         Its rest and true friction there, and the result of a replay.
     """
-    rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, 20.0, 4e-3)
     depth_m = np.clip(speed_m_s * (t_s - 2.0), 0.0, stop_m)
     friction_N = 20.0 * depth_m
@@ -24,7 +23,7 @@ def stopped(kept_friction, kept_tip, seed=0, speed_m_s=3e-3, stop_m=40e-3):
     force_N = np.where(
         is_rest, kept_friction * friction_N + kept_tip * tip_N, friction_N + tip_N
     )
-    result = replay(t_s, depth_m, force_N + 5e-3 * rng.standard_normal(len(t_s)))
+    result = replay(t_s, depth_m, noisy(force_N, 5e-3, seed))
     return is_rest, kept_friction * friction_N, result
 
 
@@ -50,11 +49,10 @@ def test_friction_may_let_go_at_rest():
 
 def kept_at_second_stop(kept):
     """Friction, over that before the stop, at the second stop that keeps a fraction."""
-    noise_N = 4e-3 * np.random.default_rng(3).standard_normal(2_500)
     speed_m_s = np.tile(np.repeat([3e-3, 0.0], [1_000, 250]), 2)
     depth_m = 4e-3 * np.cumsum(speed_m_s) - 2e-3
     friction_N = 40.0 * np.maximum(depth_m, 0.0) * np.where(speed_m_s, 1.0, kept)
-    _, estimates = run(rows_of(depth_m, speed_m_s, friction_N + noise_N, 4e-3))
+    _, estimates = run(rows_of(depth_m, speed_m_s, noisy(friction_N, 4e-3, 3), 4e-3))
     return estimates[2_260].predicted_force_N / estimates[2_245].predicted_force_N
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from identification import MIXTURE, PUBLISHED, Identifier
 from needleforce import read_snapshot, write_snapshot
-from tests.identification.worlds import run
+from tests.identification.worlds import noisy, rows_of, run
 
 
 def samples(n=3000):
@@ -15,19 +15,17 @@ def samples(n=3000):
     depth_m = -2e-3 + 5e-6 * np.arange(n)
     reach_m = np.maximum(depth_m, 0.0)
     force_N = np.where(reach_m < 0.01, 60.0 * reach_m, 30.0 * reach_m)
-    force_N += 0.01 * np.random.default_rng(4).standard_normal(n)
-    columns = (depth_m.tolist(), force_N.tolist())
-    return [(depth, 2.5e-3, force, 2e-3) for depth, force in zip(*columns, strict=True)]
+    return rows_of(depth_m, 2.5e-3, noisy(force_N, 0.01, 4), 2e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 def test_memory_is_bounded(config):
     identifier = Identifier(config)
-    noise_N = 0.01 * np.random.default_rng(6).standard_normal(18_000)
+    force_N = noisy(0.5 + 1e-5 * np.arange(18_000), 0.01, 6)
     sizes = []
-    for k, error_N in enumerate(noise_N.tolist()):
-        identifier.update(1e-5 * k, 5e-3, 0.5 + 1e-5 * k + error_N, 2e-3)
+    for k, row in enumerate(rows_of(1e-5 * np.arange(18_000), 5e-3, force_N, 2e-3)):
+        identifier.update(*row)
         if k % 3000 == 2999:
             sizes.append(len(pickle.dumps(identifier.snapshot())))
 

@@ -108,6 +108,11 @@ def rows_of(depth_m, speed_m_s, force_N, dt_s):
     return rows if speed_m_s is not None else [r._replace(speed_m_s=None) for r in rows]
 
 
+def noisy(force_N, std_N, seed):
+    """A force with white noise, shape (n,)."""
+    return force_N + std_N * np.random.default_rng(seed).standard_normal(len(force_N))
+
+
 def run(rows, identifier=None):
     """The identifier after the rows, and its estimates."""
     identifier = identifier or Identifier()

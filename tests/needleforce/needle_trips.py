@@ -21,7 +21,7 @@ def cruise(duration_s: float, ramp_fraction: float) -> np.ndarray:
     """Return the travelled fraction at each sample of a smooth motion."""
     stroke = Stroke("cruise", 0.0, duration_s, 0.0, 1.0, ramp_fraction)
     count = round(duration_s / DT_S)
-    return stroke.evaluate(np.arange(1, count + 1) * duration_s / count).position_m
+    return stroke.evaluate(np.arange(1, count + 1) * duration_s / count)[0]
 
 
 class Row(NamedTuple):

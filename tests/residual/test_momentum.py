@@ -119,11 +119,10 @@ def test_a_gap_in_time_is_not_integrated_and_reset_forgets(lwr):
     ("distance", "per_s"), [(0.01, 10.0), (1.0, 20.0), (2.0, 170.0)]
 )
 def test_momentum_far_behind_catches_up_sooner(distance, per_s):
-    newest = np.array([distance])
-    momentum_smoothing_step(newest, np.zeros(1), np.ones(1), 1e-6)
+    newest = momentum_smoothing_step(distance, 0.0, 1.0, 1e-6)
 
     # What it is behind by becomes the estimate's step.
-    assert newest[0] / distance == pytest.approx(per_s * 1e-6, rel=1e-3)
+    assert newest / distance == pytest.approx(per_s * 1e-6, rel=1e-3)
 
 
 SOUND = {"viscous_Nms": [2.0], "coulomb_Nm": [1.0], "offset_Nm": [0.25]}

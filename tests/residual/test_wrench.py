@@ -91,7 +91,6 @@ def test_a_singular_pose_gives_finite_numbers_that_say_so(lwr, mode):
 
     assert np.isfinite([found.axial, *found.force, *undamped.force]).all()
     assert 50.0 < found.axial_std < undamped.axial_std
-    assert found.conditioning > 1e3
     assert found.damping_fraction.max() > 0.5
 
 

@@ -72,12 +72,6 @@ def arm():
     return load_lwr()
 
 
-@pytest.fixture(scope="module")
-def drawing():
-    path = str(example_robot_path("lwr4plus"))
-    return yourdfpy.URDF.load(path, build_collision_scene_graph=True)
-
-
 @pytest.mark.parametrize("q", NOMINAL)
 def test_flange_gravity_and_inertia_are_the_nominal_ones(arm, q):
     flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
@@ -94,23 +88,8 @@ def test_flange_gravity_and_inertia_are_the_nominal_ones(arm, q):
     )
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:yourdfpy")
-def test_yourdfpy_agrees_on_the_arms_height(drawing):
-    assert drawing.validate()
-    assert drawing.errors == []
-
-    drawing.update_cfg(np.zeros(7))
-    for scene in (drawing.scene, drawing.collision_scene):
-        low, high = scene.bounds
-        assert low[2] == pytest.approx(0.0, abs=1e-6)
-        assert high[2] == pytest.approx(1.178, abs=1e-6)
-        assert np.all(high[:2] - low[:2] < 0.3)
-    moving = [link for link in drawing.robot.links if link.inertial is not None]
-
-    assert sum(link.inertial.mass for link in moving) == pytest.approx(14.0503)
-
-
-def test_kinematics_agree_with_yourdfpy(arm, drawing):
+def test_kinematics_agree_with_yourdfpy(arm):
+    drawing = yourdfpy.URDF.load(str(example_robot_path("lwr4plus")))
     rng = np.random.default_rng(5)
     data = arm.create_data()
     for k in range(200):
@@ -123,20 +102,17 @@ def test_kinematics_agree_with_yourdfpy(arm, drawing):
 
 
 def test_limits_and_names_match_the_data_sheet(arm):
+    upper_deg = np.degrees(arm.position_upper_rad)
+    velocity_deg_s = np.degrees(arm.velocity_limit_rad_s)
+    tilted = load_lwr(gravity_m_s2=[9.80665, 0, 0])
+
     assert arm.joint_names == tuple(f"lwr_joint_{i}" for i in range(1, 8))
-    assert np.degrees(arm.position_upper_rad) == pytest.approx(
-        [170, 120, 170, 120, 170, 120, 170]
-    )
+    assert upper_deg == pytest.approx([170, 120, 170, 120, 170, 120, 170])
     assert arm.position_lower_rad == pytest.approx(-arm.position_upper_rad)
-
-    velocity_deg_s = [100, 110, 100, 128, 130, 180, 180]
-
-    assert np.degrees(arm.velocity_limit_rad_s) == pytest.approx(velocity_deg_s)
+    assert velocity_deg_s == pytest.approx([100, 110, 100, 128, 130, 180, 180])
     assert arm.effort_limit_Nm == pytest.approx([176, 176, 100, 100, 100, 38, 38])
     assert arm.gravity_m_s2 == pytest.approx([0, 0, -9.80665])
-    assert load_lwr(gravity_m_s2=[9.80665, 0, 0]).gravity_m_s2 == pytest.approx(
-        [9.80665, 0, 0]
-    )
+    assert tilted.gravity_m_s2 == pytest.approx([9.80665, 0, 0])
     assert arm.tool_frame == arm.flange_frame == "flange"
 
 
@@ -153,51 +129,41 @@ def test_every_arm_loads_and_carries_a_needle(name):
     robot = example(name, payload=NeedleTool())
     tool = NeedleTool()
 
-    assert robot.nv in (6, 7)
-    assert (
-        np.linalg.eigvalsh(
-            pin.crba(robot.model, robot.create_data(), np.ones(robot.nv))
-        )[0]
-        > 0
-    )
-    assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
-
-    flange = pose_of(bare, np.zeros(bare.nv))
-    zero_rad = np.zeros(bare.nv)
+    still_rad = np.zeros(bare.nv)
+    flange = pose_of(bare, still_rad)
     tip, sensor = (
-        flange.actInv(pose_of(robot, zero_rad, n)) for n in ("needle_tip", "ft_sensor")
+        flange.actInv(pose_of(robot, still_rad, n)) for n in ("needle_tip", "ft_sensor")
     )
+    mass_matrix = pin.crba(robot.model, robot.create_data(), np.ones(robot.nv))
+    added_kg = pin.computeTotalMass(robot.model) - pin.computeTotalMass(bare.model)
 
+    assert robot.nv in (6, 7)
+    assert np.linalg.eigvalsh(mass_matrix)[0] > 0
+    assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
     assert tip.translation == pytest.approx(tool.tip_in_flange_m)
     assert sensor.translation == pytest.approx([0, 0, tool.sensor_height_m])
     assert tip.rotation == pytest.approx(np.eye(3))
-
-    added = pin.computeTotalMass(robot.model) - pin.computeTotalMass(bare.model)
-
-    assert added == pytest.approx(0.304)
+    assert added_kg == pytest.approx(0.304)
 
 
 def test_pandas_hand_can_be_left_out():
     full = example("panda")
     bare = example("panda", without=["panda_hand"])
-
-    assert (
-        full.joint_names
-        == bare.joint_names
-        == tuple(f"panda_joint{i}" for i in range(1, 8))
-    )
-    assert (full.tool_frame, bare.tool_frame) == ("panda_hand_tcp", "panda_link8")
-
     with_fingers = pin.buildModelFromUrdf(str(example_robot_path("panda")))
-    masses = [
+    masses_kg = [
         pin.computeTotalMass(model) for model in (with_fingers, full.model, bare.model)
     ]
 
-    assert masses[0] == pytest.approx(masses[1])
-    assert masses[1] - masses[2] == pytest.approx(0.76, abs=0.01)
-    with pytest.raises(
-        UnknownNameError, match=r"(?s)ends in: ee_link, tool0.*Give `tool_frame`"
-    ):
+    assert full.joint_names == bare.joint_names
+    assert full.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
+    assert (full.tool_frame, bare.tool_frame) == ("panda_hand_tcp", "panda_link8")
+    assert masses_kg[0] == pytest.approx(masses_kg[1])
+    assert masses_kg[1] - masses_kg[2] == pytest.approx(0.76, abs=0.01)
+
+
+def test_a_tool_frame_is_asked_for_where_there_are_several_ends():
+    example("ur10")
+    with pytest.raises(UnknownNameError, match="ee_link, tool0"):
         load_urdf(example_robot_path("ur10"))
 
 

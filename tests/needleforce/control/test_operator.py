@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from groundtruth.errors import PlantError
 from groundtruth.rig_operator import HapticMaster, Operator, random_operator
 
 
@@ -86,10 +85,3 @@ def test_drawn_hands_are_within_their_range():
 
     assert 150.0 < min(stiffness) < 200.0 < 450.0 < max(stiffness) < 600.0
     assert all(1.0 < hand.mass_kg < 2.0 for hand in hands)
-
-
-def test_no_hand_is_weightless():
-    with pytest.raises(PlantError, match="mass_kg"):
-        held(mass_kg=0.0)
-    with pytest.raises(PlantError, match="speed_filter_s"):
-        HapticMaster(Operator(wish_m=lambda t_s: (0, 0, 0)), speed_filter_s=0.0)
