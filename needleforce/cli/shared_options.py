@@ -352,8 +352,6 @@ class WatchOptions:
             is refused, again after as many.
         tare_stroke: Move the arm and tare from that, before anything else: it draws the
             needle back by so many mm and returns. It asks first.
-        tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 0; 8 is slow enough).
         yes: Move the arm without asking.
     """
 
@@ -369,7 +367,6 @@ class WatchOptions:
     port: Annotated[int, Parameter(metavar="N")] = 8080
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
     tare_stroke: Annotated[float | None, Parameter(metavar="MM", group=TARE)] = None
-    tare_swivel: Annotated[float, Parameter(metavar="DEGREES", group=TARE)] = 0.0
     yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
 
 

@@ -30,10 +30,7 @@ from needleforce.control.manager import Manager as Manager, Situation as Situati
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
 from needleforce.control.run import Tick as Tick, run as run
 from needleforce.control.state_machine import State as State
-from needleforce.control.tare_stroke import (
-    TareMotion as TareMotion,
-    tare_with_stroke as tare_with_stroke,
-)
+from needleforce.control.tare_stroke import tare_with_stroke as tare_with_stroke
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     Fixture as Fixture,

@@ -23,18 +23,8 @@ from needleforce.control.tasks import JointTask, MAX_STEP_s, Task, ToolState
 from needleforce.devices.rate_limiter import write_velocity_bounds
 from urdf import Robot
 
-FIRST_STEP_s = 1e-3
-"""Time step that a first, invalid sample is braked with: the usual cycle."""
-
 MAX_DELAY_s = 0.3
 """No loop of control lives with longer delays."""
-
-FILTER_s = 8e-3
-"""Time constant of the positions under a limit of the jerk: 20 Hz."""
-
-MAX_SURPRISE_rad = 0.01
-"""An arm that is further from where its commands have led it has been moved: its
-positions are used as they are."""
 
 
 class Command(NamedTuple):
@@ -153,7 +143,7 @@ class Controller:
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
         self._stack = Stack((), robot.nv)
-        self._step_s = FIRST_STEP_s
+        self._step_s = 1e-3  # of a first, invalid sample: the usual cycle
         self.reset()
 
     def reset(self) -> None:
@@ -190,7 +180,11 @@ class Controller:
                 RIGHT_LIMITS,
             )
         try:
-            q_rad, dt_s = _read_numbers(sample)
+            q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
+            dt_s = float(sample.dt_s)
+        except (TypeError, ValueError, OverflowError) as error:
+            return self._brake(f"q_rad, dt_s: {error}")
+        try:
             self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
@@ -228,7 +222,9 @@ class Controller:
 
             q_f <- q_f + T dq_last + (q - q_f - T dq_last) T / (T + tau)
 
-        which lags behind a motion that was not commanded only.
+        which lags behind a motion that was not commanded only, by 8 ms (20 Hz). An arm
+        that is further than 0.01 rad from where its commands have led it has been
+        moved: its positions are used as they are.
         """
         if self._cycle_s is None:
             return q_rad
@@ -236,8 +232,8 @@ class Controller:
         if self._position_rad is not None and dt_s <= MAX_STEP_s:
             led_rad = self._position_rad + dt_s * self.last_rad_s
         surprise_rad = q_rad - led_rad
-        self._position_rad = led_rad + surprise_rad * dt_s / (FILTER_s + dt_s)
-        if np.abs(surprise_rad).max() > MAX_SURPRISE_rad:
+        self._position_rad = led_rad + surprise_rad * dt_s / (8e-3 + dt_s)
+        if np.abs(surprise_rad).max() > 0.01:
             self._position_rad = q_rad.copy()
         return self._position_rad
 
@@ -300,19 +296,3 @@ class Controller:
         self._acceleration_rad_s2 = change_rad_s / self._change_time_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, reason, is_limited, is_damped)
-
-
-def _read_numbers(sample: ArmSample) -> tuple[Array, float]:
-    """Return positions and time step of a sample.
-
-    Raises:
-        SettingError: They are no numbers.
-    """
-    position = sample.q_rad
-    step = sample.dt_s
-    try:
-        return np.ascontiguousarray(position, np.float64), float(step)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise SettingError(
-            f"q_rad = {position!r:.80}, dt_s = {step!r:.80}: expected numbers"
-        ) from error

@@ -34,7 +34,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError, require_positive
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
@@ -73,10 +73,6 @@ LIMIT_FRACTION = 0.012
 """e: a joint at its highest speed takes this fraction of its torque limit. It damps
 wrists, whose mass is next to nothing."""
 
-POSTURES = 500
-"""Over so many, drawn within the range of the joints, a turn at most, the mass matrix
-is averaged."""
-
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
 
@@ -109,15 +105,6 @@ SIGMA_GROWTH_s = 20.0
 """Time over which sigma may grow by e: torques drift slowly since the tare, hands
 come at once."""
 
-REST_rad_s = 1e-6
-"""A slower motion that no torque drives counts as rest."""
-
-MAX_GUIDED_STEP_s = 0.1
-"""The most time that a step stands for: a longer one is a pause."""
-
-MIN_POWER_W = 1e-12
-"""Keeps q finite where nothing moves."""
-
 
 def find_damping_of_arm(robot: Robot) -> Array:
     """Return D of every joint at a scale of 1, shape (n,) [Nms/rad]; see the module.
@@ -132,10 +119,11 @@ def find_damping_of_arm(robot: Robot) -> Array:
             f"damping_Nms_per_rad: a positive number for each of {robot.nv} joints"
         )
     torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+    # Of so many, within the range of the joints, a turn at most, the mean is taken.
     postures_rad = np.random.default_rng(0).uniform(
         np.maximum(robot.position_lower_rad, -np.pi),
         np.minimum(robot.position_upper_rad, np.pi),
-        (POSTURES, robot.nv),
+        (500, robot.nv),
     )
     data = robot.create_data()
     inertias = [np.diag(pin.crba(robot.model, data, q)).copy() for q in postures_rad]
@@ -173,15 +161,8 @@ class Guidance:
             damping = LWR_DAMPING_Nms
         elif damping is None:
             damping = find_damping_of_arm(robot)
-        self._damping_Nms = scale * np.array(damping, dtype=np.float64)
-        is_positive = bool(
-            np.isfinite(self._damping_Nms).all() and (self._damping_Nms > 0.0).all()
-        )
-        if self._damping_Nms.shape != (robot.nv,) or not is_positive:
-            raise SettingError(
-                f"damping is {damping!r}, expected a positive number for each of "
-                f"{robot.nv} joints"
-            )
+        self._damping_Nms = scale * as_vector(damping, robot.nv, "damping_Nms_per_rad")
+        require_positive({"damping_Nms_per_rad": self._damping_Nms.min()})
         torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self._min_zone_Nm = DEAD_ZONE_FRACTION * torque_limit_Nm
         self.reset()
@@ -191,7 +172,7 @@ class Guidance:
         self._velocity_rad_s = np.zeros_like(self._damping_Nms)  # w
         self._driven_rad_s = np.zeros_like(self._damping_Nms)  # u
         self._beyond_Nm = np.zeros_like(self._damping_Nms)  # dz(r)
-        self._factor = FIRST_DAMPING_FACTOR  # c
+        self._factor = 0.0  # c
         self._forget_swings()
         self._zone = 1.0  # z
         self._sigma_Nm = np.full(self._damping_Nms.shape, np.inf)
@@ -212,8 +193,8 @@ class Guidance:
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
         if not 0.0 < as_float(dt_s) < math.inf:
-            return self._task()
-        dt_s = min(dt_s, MAX_GUIDED_STEP_s)
+            return JointVelocity(self._velocity_rad_s / self._factor)
+        dt_s = min(dt_s, 0.1)  # a longer step is a pause
         if is_valid:
             # A hand is no contact at the tip: the sensor takes it for an error of its
             # own and widens sigma as the residual grows. So it may grow slowly only.
@@ -232,13 +213,13 @@ class Guidance:
         wanted_rad_s = self._beyond_Nm / self._damping_Nms
         driven_rad_s = wanted_rad_s + smoothing * (self._driven_rad_s - wanted_rad_s)
         velocity_rad_s = driven_rad_s + decay * (self._velocity_rad_s - driven_rad_s)
-        if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < REST_rad_s:
-            velocity_rad_s = np.zeros_like(velocity_rad_s)
+        if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < 1e-6:
+            velocity_rad_s = np.zeros_like(velocity_rad_s)  # that is rest
             driven_rad_s = velocity_rad_s
         self._driven_rad_s = driven_rad_s
         self._velocity_rad_s = velocity_rad_s
         self._damp_swings(velocity_rad_s, dt_s)
-        return self._task()
+        return JointVelocity(velocity_rad_s / self._factor)
 
     def _update_dead_zone(self, residual_Nm: Array, dt_s: float) -> Array:
         """Open the dead zone where a hand is felt, else close it; return z h, (n,)."""
@@ -254,7 +235,6 @@ class Guidance:
         """Adapt the factor c to a velocity w of the joints, shape (n,)."""
         damping_Nms = self._damping_Nms
         if not velocity_rad_s.any():  # the next motion is another one
-            self._factor = max(self._factor, FIRST_DAMPING_FACTOR)
             self._forget_swings()
             return
         decay = math.exp(-dt_s / MEAN_s)
@@ -263,7 +243,8 @@ class Guidance:
         self._mean_rad_s = decay * self._mean_rad_s + (1.0 - decay) * velocity_rad_s
         self._mean_power_W = decay * self._mean_power_W + (1.0 - decay) * power_W
         steady_ratio = float(self._mean_rad_s**2 @ damping_Nms) / max(
-            self._mean_power_W * self._weight, MIN_POWER_W
+            self._mean_power_W * self._weight,
+            1e-12,  # finite where nothing moves
         )
         rate_per_s = DAMPING_RISE_per_s * max(
             1.0 - steady_ratio / STEADY_RATIO, 0.0
@@ -272,11 +253,8 @@ class Guidance:
         self._factor = min(grown, MAX_DAMPING_FACTOR)
 
     def _forget_swings(self) -> None:
-        """Begin the means anew."""
+        """Begin the means anew, with the damping of a hand that is first felt."""
+        self._factor = max(self._factor, FIRST_DAMPING_FACTOR)
         self._mean_rad_s = np.zeros_like(self._damping_Nms)  # m
         self._mean_power_W = 0.0  # p
         self._weight = 0.0  # of the samples in the means: 1 once they are full
-
-    def _task(self) -> JointVelocity:
-        """Return v = w / c as a task."""
-        return JointVelocity(self._velocity_rad_s / self._factor)

@@ -86,12 +86,11 @@ def _parse(sample: MasterSample | None) -> HandleReading | None:
     handle: Any = sample  # whatever a driver gives
     try:
         vectors = np.array((handle.position_m, handle.velocity_m_s), np.float64)
-        is_coupled = bool(handle.clutch)
+        reading = HandleReading(*vectors, is_coupled=bool(handle.clutch))
     except (AttributeError, TypeError, ValueError):
         return None
-    if vectors.shape != (2, 3) or not (np.abs(vectors) < MAX_HANDLE).all():
-        return None
-    return HandleReading(vectors[0], vectors[1], is_coupled)
+    is_possible = vectors.shape == (2, 3) and (np.abs(vectors) < MAX_HANDLE).all()
+    return reading if is_possible else None
 
 
 class HandleWatch:
@@ -104,8 +103,7 @@ class HandleWatch:
     def __init__(self) -> None:
         self._last: HandleReading | None = None
         self._last_t_s: object = None
-        self._since_s = 0.0  # time since the last reading
-        self._silent_s = math.inf  # time without a valid sample
+        self._since_s = math.inf  # time since the last usable sample
         self._repeated_s = 0.0  # time for which one sample has been repeated
         self._contradicted_s = 0.0  # time for which the velocity has been wrong
         # Means over `VELOCITY_MEMORY_s`, which lag alike: by positions, as reported.
@@ -125,13 +123,12 @@ class HandleWatch:
         if not 0.0 < dt_s < math.inf:
             return HandleReport(None)
         self._since_s += dt_s
+        since_s = self._since_s
         reading = _parse(sample)
         if reading is None:
-            self._silent_s += dt_s
             what = "is silent" if sample is None else "sends no finite numbers"
-            is_gone = self._silent_s >= MAX_SILENT_s
+            is_gone = since_s >= MAX_SILENT_s
             return HandleReport(None, f"the haptic device {what}" if is_gone else "")
-        self._silent_s = 0.0
         last = self._last
         is_repeated = last is not None and self._is_repeated(sample, reading, last)
         self._last = reading
@@ -143,7 +140,6 @@ class HandleWatch:
                 "the haptic device has repeated one sample: it is frozen, or nobody "
                 "holds it",
             )
-        since_s = self._since_s
         self._since_s = 0.0
         if last is None:
             self._means_m_s[:] = reading.velocity_m_s
@@ -155,10 +151,10 @@ class HandleWatch:
     ) -> bool:
         """Return whether a sample is the one before it."""
         t_s = getattr(sample, "t_s", None)
-        if t_s is not None and t_s == self._last_t_s:
-            return True
-        is_at_rest = t_s is not None and not reading.velocity_m_s.any()
-        return not is_at_rest and bool(
+        is_stamp_old = t_s == self._last_t_s
+        if t_s is not None and (is_stamp_old or not reading.velocity_m_s.any()):
+            return is_stamp_old
+        return bool(
             (reading.position_m == last.position_m).all()
             and (reading.velocity_m_s == last.velocity_m_s).all()
         )
@@ -192,13 +188,14 @@ class HandleWatch:
         by_positions_m_s, reported_m_s = self._means_m_s
         error_m_s = np.linalg.norm(reported_m_s - by_positions_m_s)
         tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(by_positions_m_s)
-        if error_m_s <= VELOCITY_TOLERANCE_m_s + tolerated_m_s:
-            self._contradicted_s = 0.0
+        is_contradicted = error_m_s > VELOCITY_TOLERANCE_m_s + tolerated_m_s
+        has_velocity = bool(reported_m_s.any())
+        wrong_s = self._contradicted_s + since_s
+        self._contradicted_s = wrong_s if is_contradicted and has_velocity else 0.0
+        if not is_contradicted:
             return HandleReport(reading)
-        if not reported_m_s.any():
-            self._contradicted_s = 0.0
+        if not has_velocity:
             return HandleReport(reading._replace(velocity_m_s=by_positions_m_s.copy()))
-        self._contradicted_s += since_s
         is_wrong = self._contradicted_s >= CONTRADICTED_s
         is_along = reading.velocity_m_s * by_positions_m_s > 0.0
         slower_m_s = np.minimum(np.abs(reading.velocity_m_s), np.abs(by_positions_m_s))

@@ -19,38 +19,12 @@ from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.state_machine import State
 from needleforce.control.tare_stroke import find_stroke_speed
 
-END_GAIN_PER_s = 10.0
-"""Gain with which a motion comes to its end."""
-
-RETURN_m_s2 = 0.3
-"""Deceleration with which a command that goes back to the tip comes to rest; a quicker
-one tugs at the tissue."""
-
-HOLDING_GAIN_PER_s = 5.0
-"""Gain with which a stopped tip is held; a soft arm follows in 0.1 s."""
-
 ARRIVED_m = 2e-5
 """Distance from its end at which a motion has arrived: far below the error of a
 plan."""
 
-MIN_GAP_s = 2.5e-3
-"""A shorter step between samples is no gap: a cycle of 1 kHz or one that was late."""
-
-GAP_STEPS = 2.5
-"""A step of so many usual ones is a gap: an arm stops and starts in it, and the force
-is off."""
-
-FADING_s = 0.05
-"""Time after a gap for which the force is off."""
-
-USUAL_STEP_WEIGHT = 0.02
-"""Weight of a new step in the mean of the steps, over some 50 samples."""
-
 SETTLED_s = 0.1
 """So long after its last change a command is steady: late forces fall until then."""
-
-TIME_ROUNDING_s = 1e-6
-"""Two times that are nearer to each other are the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +121,7 @@ class InsertionProfile:
         self._time_s = situation.time_s
         # A dwell goes on from an insertion.
         has_motion = situation.is_moving and situation.state != State.DWELL
-        if has_motion and situation.state_s < dt_s + TIME_ROUNDING_s:
+        if has_motion and situation.state_s < dt_s + 1e-6:  # times are rounded
             self._start_m = estimate.depth_m
             self._commanded_m = estimate.depth_m
         self._update_program(situation.state)
@@ -211,13 +185,14 @@ class InsertionProfile:
     ) -> Step:
         """Insert to the planned depth, or until the planned layer ruptures."""
         self._end_m = depth_m
-        self._is_at_tip = False
         # Time at the planned speed; after a gap the force settles anew.
         is_planned_speed = self._last.speed_m_s == self._plan.speed_m_s
         self._steady_s = (self._steady_s + dt_s) * is_planned_speed
-        if dt_s > max(MIN_GAP_s, GAP_STEPS * self._usual_step_s):
-            self._steady_s = min(self._steady_s, SETTLED_s - FADING_s)
-        self._usual_step_s += USUAL_STEP_WEIGHT * (dt_s - self._usual_step_s)
+        # An arm stops and starts in a step of so many usual ones, over some 50 samples;
+        # one cycle of 1 kHz may be late. The force is off for 50 ms.
+        if dt_s > max(2.5e-3, 2.5 * self._usual_step_s):
+            self._steady_s = min(self._steady_s, SETTLED_s - 0.05)
+        self._usual_step_s += 0.02 * (dt_s - self._usual_step_s)
         has_ruptured = self._ruptures.update(
             identification,
             axial_N,
@@ -226,6 +201,7 @@ class InsertionProfile:
             is_steady=self._steady_s > SETTLED_s,
         )
         if has_ruptured and self._ruptures.count == self._plan.layer:
+            self._is_at_tip = False
             return Step(self._hold_tip(depth_m), "rupture")
         step = self._move_by(self._plan.depth_m - depth_m, dt_s)
         self._is_at_tip = bool(step.event)  # a planned end is reached at rest
@@ -242,8 +218,10 @@ class InsertionProfile:
         ahead_m = self._commanded_m - depth_m
         self._is_at_tip = self._is_at_tip or ahead_m < ARRIVED_m
         if not self._is_at_tip:
-            return -math.sqrt(2.0 * RETURN_m_s2 * ahead_m)
-        holding_m_s = HOLDING_GAIN_PER_s * (self._end_m - depth_m)
+            # Decelerating by 0.3 m/s2: quicker, it would tug at the tissue.
+            return -math.sqrt(2.0 * 0.3 * ahead_m)
+        # With a time constant of 0.2 s; a soft arm follows in 0.1 s.
+        holding_m_s = 5.0 * (self._end_m - depth_m)
         return min(max(holding_m_s, -self._plan.speed_m_s), self._plan.speed_m_s)
 
     def _move_by(self, distance_m: float, dt_s: float) -> Step:
@@ -255,7 +233,7 @@ class InsertionProfile:
         wanted_m_s = min(
             self._plan.speed_m_s,
             math.sqrt(2.0 * acceleration_m_s2 * remaining_m),
-            END_GAIN_PER_s * remaining_m,
+            10.0 * remaining_m,  # per second
         )
         wanted_m_s = math.copysign(wanted_m_s, distance_m)
         lowest_m_s = self._last.speed_m_s - acceleration_m_s2 * dt_s

@@ -162,12 +162,20 @@ class HandPort(Port):
         owed_J = self.update_budget_J(incoming_J, dt_s) + self._damped_J
         leaving_J = -wanted_N * speed_m_s * ahead_s
         force_N = wanted_N * passive_fraction(leaving_J, owed_J)
-        max_N = self._max_force_N(wanted_N, speed_m_s, ahead_s)
+        # The largest force that gives a free handle no more than it gave.
+        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
+        root_m_s = math.sqrt(
+            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
+        )
+        max_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), max_N), force_N)
         missing_J = -min(owed_J, self.net_J)
         self._damping_N = 0.0
         if missing_J > 0.0:
-            damping_N = _damping_force_N(missing_J, speed_m_s, ahead_s)
+            # More than m / Δt, held over an interval, would turn the handle round.
+            max_Ns_m = min(MAX_DAMPING_Ns_m, HANDLE_kg / ahead_s)
+            max_J = max_Ns_m * speed_m_s * speed_m_s * ahead_s
+            damping_N = passive_fraction(max_J, missing_J) * max_Ns_m * speed_m_s
             self._damping_N = min(max(damping_N, -max_N - force_N), max_N - force_N)
         sum_N = force_N + self._damping_N
         shown_N = self._limit_force_N(sum_N, dt_s, is_coupled=is_coupled)
@@ -190,14 +198,6 @@ class HandPort(Port):
             max_N = min(max_N, MAX_UNCOUPLED_N)
         return min(max(wanted_N, -max_N), max_N)
 
-    def _max_force_N(self, wanted_N: float, speed_m_s: float, ahead_s: float) -> float:
-        """Return the largest force that gives a free handle no more than it gave."""
-        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(
-            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
-        )
-        return HANDLE_kg / ahead_s * (against_m_s + root_m_s)
-
     def release(self, travel_m: float) -> None:
         """Let go of the force, after about so much travel.
 
@@ -206,16 +206,6 @@ class HandPort(Port):
         self.observe(min(self._force_N * travel_m, 0.0), 1.0)
         self._force_N = 0.0
         self._damping_N = 0.0
-
-
-def _damping_force_N(missing_J: float, speed_m_s: float, ahead_s: float) -> float:
-    """Return the damping force that takes back an energy in the coming interval.
-
-    More than m / Δt, held over an interval, would turn the handle round.
-    """
-    max_Ns_m = min(MAX_DAMPING_Ns_m, HANDLE_kg / ahead_s)
-    max_J = max_Ns_m * speed_m_s * speed_m_s * ahead_s
-    return passive_fraction(max_J, missing_J) * max_Ns_m * speed_m_s
 
 
 class NeedlePort(Port):

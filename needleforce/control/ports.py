@@ -17,22 +17,18 @@ class ArmSample(Protocol):
     @property
     def dt_s(self) -> float:
         """Time since the previous sample."""
-        ...
 
     @property
     def q_rad(self) -> Array:
         """Joint positions, shape (n,)."""
-        ...
 
     @property
     def dq_rad_s(self) -> Array | None:
         """Joint velocities, shape (n,); None where the interface has none."""
-        ...
 
     @property
     def tau_Nm(self) -> Array:
         """Measured link-side joint torques, shape (n,)."""
-        ...
 
 
 class Arm(Protocol):
@@ -41,18 +37,15 @@ class Arm(Protocol):
     @property
     def robot(self) -> Robot:
         """The arm as its user knows it."""
-        ...
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Iterate over the samples, one per cycle, until the connection ends."""
-        ...
 
     def send(self, dq_rad_s: Array) -> bool:
         """Send the velocity of the coming cycle; return False if the arm refuses it.
 
         The arm integrates the velocity, shape (n,).
         """
-        ...
 
 
 class MasterSample(Protocol):
@@ -61,14 +54,11 @@ class MasterSample(Protocol):
     @property
     def position_m(self) -> Array:
         """Position of its handle, shape (3,), in the device's axes."""
-        ...
 
     @property
     def velocity_m_s(self) -> Array:
         """Velocity of its handle, shape (3,)."""
-        ...
 
     @property
     def clutch(self) -> bool:
         """True while the hand moves the needle."""
-        ...

@@ -22,7 +22,6 @@ from needleforce.control.handle_watch import HandleReport
 from needleforce.control.passivity import MAX_FORCE_N
 from needleforce.control.teleoperation_sides import (
     DeviceSide,
-    HandleSample,
     HandPacket,
     MAX_STIFFNESS_N_per_m,
     NeedlePacket,
@@ -69,7 +68,6 @@ class Line(Protocol[Packet]):
 
     def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
         """Send a packet, let time pass, return the newest that has arrived so far."""
-        ...
 
 
 def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
@@ -166,11 +164,10 @@ class Teleoperation:
         self._axis = direction / np.linalg.norm(direction)
         self._lines = lines
         self.device = DeviceSide(
-            motion_scale, speed_limit_m_s, force_lag_s, max_force_N
+            self._axis, motion_scale, speed_limit_m_s, force_lag_s, max_force_N
         )
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
-        self._doubt = ""  # why the needle stands until the clutch has been opened
         self.shown_N = 0.0
         self._rupture_left_s = 0.0  # time for which a rupture is still shown at once
 
@@ -181,8 +178,8 @@ class Teleoperation:
         hand's motion.
         """
         self.device.let_go()
+        self.device.doubt = ""
         self.needle.start_m = None
-        self._doubt = ""
 
     def update(
         self, report: HandleReport, estimate: "SessionEstimate", dt_s: float
@@ -206,8 +203,7 @@ class Teleoperation:
         if not math.isfinite(shown_N):
             shown_N = FADING_s / (FADING_s + dt_s) * self.shown_N
         self.shown_N = shown_N
-        handle = self._take_handle(report)
-        news: HandPacket | None = self.device.update(handle, self._from_needle, dt_s)
+        news: HandPacket | None = self.device.update(report, self._from_needle, dt_s)
         if self._lines is not None:
             news = self._lines[0].exchange(news, dt_s)
         speed_m_s, self._from_needle = self.needle.update(
@@ -216,30 +212,7 @@ class Teleoperation:
         if self._lines is not None:
             self._from_needle = self._lines[1].exchange(self._from_needle, dt_s)
         force_N = -self.device.force_N * self._axis
-        return TeleopCommand(speed_m_s, force_N, report.fault or self._doubt)
-
-    def _take_handle(self, report: HandleReport) -> HandleSample | None:
-        """Return the handle along the needle, coupled unless it is in doubt.
-
-        The device's side lets go of a handle that is gone, and of one that has jumped:
-        where it is, the next sample says.
-        """
-        if report.fault or report.has_jumped:
-            self.device.let_go()
-        reading = report.reading
-        if reading is None:
-            return None
-        if not reading.is_coupled:
-            self._doubt = ""
-        elif report.doubt and not self._doubt:
-            self._doubt = f"{report.doubt}: open the clutch and close it again"
-        if report.has_jumped:
-            return None
-        return HandleSample(
-            position_m=float(self._axis @ reading.position_m),
-            speed_m_s=float(self._axis @ reading.velocity_m_s),
-            is_coupled=reading.is_coupled and not self._doubt,
-        )
+        return TeleopCommand(speed_m_s, force_N, report.fault or self.device.doubt)
 
     def _smooth_force(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """Return the force to be felt, less its noise; the raw one as it is.
@@ -254,13 +227,13 @@ class Teleoperation:
         if self._shown == "raw":
             return known_N
         alarms = estimate.identification
-        if alarms.rupture is not None or alarms.provisional is not None:
-            self._rupture_left_s = RUPTURE_SHOWN_s
-        else:
-            self._rupture_left_s = max(self._rupture_left_s - dt_s, 0.0)
+        has_alarm = alarms.rupture is not None or alarms.provisional is not None
+        left_s = max(self._rupture_left_s - dt_s, 0.0)
+        self._rupture_left_s = RUPTURE_SHOWN_s if has_alarm else left_s
         lag_s = RUPTURE_SMOOTHING_s if self._rupture_left_s > 0.0 else SMOOTHING_s
-        stiffness_N_per_m = max(estimate.identification.stiffness_N_per_m, 0.0)
-        stiffness_N_per_m = min(stiffness_N_per_m, MAX_STIFFNESS_N_per_m)
+        stiffness_N_per_m = min(
+            max(estimate.identification.stiffness_N_per_m, 0.0), MAX_STIFFNESS_N_per_m
+        )
         pressing_m_s = estimate.speed_m_s if known_N > 0.0 else 0.0
         grown_N = self.shown_N + stiffness_N_per_m * pressing_m_s * dt_s
         smooth_N = grown_N + (known_N - grown_N) * dt_s / (lag_s + dt_s)

@@ -7,8 +7,9 @@ needle's side follows within a speed limit and sends the force. See `teleoperati
 import math
 from typing import NamedTuple
 
+from foundation.arrays import Array
+from needleforce.control.handle_watch import HandleReport
 from needleforce.control.passivity import (
-    MAX_FORCE_N,
     HANDLE_kg,
     HandPort,
     MAX_DAMPING_Ns_m,
@@ -111,24 +112,12 @@ class NeedlePacket(NamedTuple):
     energy_J: float
 
 
-class HandleSample(NamedTuple):
-    """The handle along the needle's axis.
-
-    Attributes:
-        position_m: Its position, positive inwards.
-        speed_m_s: Its speed, positive inwards.
-        is_coupled: Whether the hand moves the needle.
-    """
-
-    position_m: float
-    speed_m_s: float
-    is_coupled: bool
-
-
 class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
     Args:
+        axis: Direction of the handle that drives the needle inwards, of length one,
+            shape (3,).
         motion_scale: See `Teleoperation`.
         speed_limit_m_s: Of the needle, see `Teleoperation`.
         force_lag_s: See `Teleoperation`.
@@ -136,25 +125,28 @@ class DeviceSide:
 
     Attributes:
         port: Energy between device and hand.
-        position_m: Of the handle at its last sample; None after a release.
         force_N: To render, positive against insertion.
+        doubt: Why the needle stands until the clutch has been opened; else empty.
     """
 
     def __init__(
         self,
+        axis: Array,
         motion_scale: float,
         speed_limit_m_s: float,
-        force_lag_s: float = USUAL_FORCE_LAG_s,
-        max_force_N: float = MAX_FORCE_N,
+        force_lag_s: float,
+        max_force_N: float,
     ) -> None:
         late_s = max(force_lag_s - USUAL_FORCE_LAG_s, 0.0)
         damping_Ns_m = DAMPING_Ns_m + MAX_STIFFNESS_N_per_m * late_s
         self._damping_Ns_m = max(MIN_DAMPING_Ns_m, damping_Ns_m * motion_scale)
+        self._axis = axis
         self._scale = motion_scale
         self._max_followed_m_s = speed_limit_m_s / motion_scale  # of the handle
         self.port = HandPort(max_force_N)
-        self.position_m: float | None = None
         self.force_N = 0.0
+        self.doubt = ""
+        self._position_m: float | None = None  # None after a release
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
         self._speed_m_s = 0.0  # of the handle, smoothed
         self._steady_m_s = 0.0  # the slow part of it
@@ -166,62 +158,69 @@ class DeviceSide:
 
     def let_go(self) -> None:
         """Let go of a handle that is gone, or elsewhere: the next sample says where."""
-        if self.position_m is None:
+        if self._position_m is None:
             return
         self.port.release(self._speed_m_s * self._since_s)
-        self.position_m = None
+        self._position_m = None
         self.force_N = 0.0
         self._since_s = MAX_HOLD_s
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
-        self, handle: HandleSample | None, news: NeedlePacket | None, dt_s: float
+        self, report: HandleReport, news: NeedlePacket | None, dt_s: float
     ) -> HandPacket:
         """Find the force to render, and return the packet to send.
 
         Between samples of the handle its force stays: then the energy through the port
-        is known exactly.
+        is known exactly. A handle that has jumped, or is in doubt, drives no needle
+        until the clutch has been opened.
 
         Args:
-            handle: A new sample, or None.
+            report: What a sample of the haptic device is good for, by `HandleWatch`.
             news: The newest packet from the needle, or None.
             dt_s: Time since the last call.
         """
+        reading = report.reading
+        if report.fault or report.has_jumped:
+            self.let_go()
+        if reading is not None and not reading.is_coupled:
+            self.doubt = ""
+        elif reading is not None and report.doubt and not self.doubt:
+            self.doubt = f"{report.doubt}: open the clutch and close it again"
         self._since_s += dt_s
-        if handle is None:
+        if reading is None or report.has_jumped:
             if self._since_s >= MAX_HOLD_s:
                 self._coupling -= self._coupling * dt_s / (COUPLING_s + dt_s)
                 self.let_go()
             return self._packet
+        position_m = float(self._axis @ reading.position_m)
+        speed_m_s = float(self._axis @ reading.velocity_m_s)
+        is_coupled = reading.is_coupled and not self.doubt
         dt_s = min(self._since_s, MAX_HOLD_s)
         self._since_s = 0.0
-        last_m = handle.position_m if self.position_m is None else self.position_m
-        self.position_m = handle.position_m
-        self._coupling += (
-            (handle.is_coupled - self._coupling) * dt_s / (COUPLING_s + dt_s)
-        )
+        last_m = position_m if self._position_m is None else self._position_m
+        self._position_m = position_m
+        self._coupling += (is_coupled - self._coupling) * dt_s / (COUPLING_s + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / GAP_MEMORY_s))
-        damping_N = self._damp_motion(
-            handle.speed_m_s, dt_s, is_coupled=handle.is_coupled
-        )
+        damping_N = self._damp_motion(speed_m_s, dt_s, is_coupled=is_coupled)
         known_N, incoming_J = news or (0.0, 0.0)
         self.force_N = self.port.update(
             known_N * self._coupling + damping_N,
-            handle.position_m,
-            handle.speed_m_s,
+            position_m,
+            speed_m_s,
             incoming_J,
             dt_s=dt_s,
             ahead_s=self._gap_s,
-            is_coupled=handle.is_coupled,
+            is_coupled=is_coupled,
         )
-        scale = self._scale * handle.is_coupled
-        slowest_m_s = handle.speed_m_s - MAX_SPEED_ERROR_m_s
-        fastest_m_s = handle.speed_m_s + MAX_SPEED_ERROR_m_s
+        scale = self._scale * is_coupled
+        slowest_m_s = speed_m_s - MAX_SPEED_ERROR_m_s
+        fastest_m_s = speed_m_s + MAX_SPEED_ERROR_m_s
         self._packet = HandPacket(
-            travel_m=self._packet.travel_m + scale * (handle.position_m - last_m),
+            travel_m=self._packet.travel_m + scale * (position_m - last_m),
             speed_m_s=scale * min(max(self._speed_m_s, slowest_m_s), fastest_m_s),
             energy_J=self.port.in_J,
-            is_coupled=handle.is_coupled,
+            is_coupled=is_coupled,
         )
         return self._packet
 

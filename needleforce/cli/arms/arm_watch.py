@@ -29,7 +29,7 @@ from needleforce.cli.shared_options import (
     WatchOptions,
 )
 from needleforce.cli.terminal import CHECK_ARM, CommandError, say, write_out
-from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
+from needleforce.control.tare_stroke import tare_with_stroke
 from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import ArmReading, LinkReport, NetFT
 from needleforce.devices.rdt import describe_status
@@ -45,7 +45,7 @@ MEAN_SPEED_m_s = 0.01
 """Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
 
 MIN_LEG_S = 10.0
-"""Time of a stroke each way, at least: the elbow needs it for its swings."""
+"""Time of a stroke each way, at least."""
 
 M_TO_MM = 1e3
 
@@ -70,11 +70,11 @@ def watch_arm(
         ControlError: The arm has not moved as it should.
         TareError: The motion of the stroke is no free motion.
     """
-    motion = find_stroke(watch)
+    stroke_m = find_stroke(watch)
     tare = auto_tare(watch.tare)
     plan = load_plan(watch.plan, situs_inversus=watch.situs_inversus)
     with ExitStack() as stack:
-        opened = _open_tared_arm(arm_name, robot, options, motion, watch)
+        opened = _open_tared_arm(arm_name, robot, options, stroke_m, watch)
         (arm, model), session = stack.enter_context(opened)
         reference = page = None
         if watch.reference is not None:
@@ -143,26 +143,18 @@ def _estimates(
         yield sample, estimate
 
 
-def find_stroke(watch: WatchOptions) -> TareMotion | None:
-    """Return the motion that options ask for; None without a stroke.
+def find_stroke(watch: WatchOptions) -> float | None:
+    """Return the stroke that options ask for [m]; None without one.
 
     Raises:
-        CommandError: The stroke is not positive, or the swivel is no angle from 0 to
-            less than 360 degrees.
+        CommandError: The stroke is not positive.
     """
     stroke_mm = watch.tare_stroke
     if stroke_mm is None:
         return None
-    if not (0.0 < stroke_mm < math.inf and 0.0 <= watch.tare_swivel < 360.0):
-        raise CommandError(
-            f"--tare-stroke {stroke_mm:g}, --tare-swivel {watch.tare_swivel:g}: "
-            "expected millimetres above 0, and degrees from 0 to less than 360"
-        )
-    return TareMotion(
-        stroke_m=1e-3 * stroke_mm,
-        leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
-        swivel_rad=math.radians(watch.tare_swivel),
-    )
+    if not 0.0 < stroke_mm < math.inf:
+        raise CommandError(f"--tare-stroke {stroke_mm:g}: expected millimetres above 0")
+    return 1e-3 * stroke_mm
 
 
 class _RestingArm:
@@ -192,36 +184,35 @@ def _open_tared_arm(
     name: str,
     robot: RobotOptions,
     options: ArmOptions,
-    motion: TareMotion | None,
+    stroke_m: float | None,
     watch: WatchOptions,
 ) -> Iterator[tuple[ConnectedArm, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
     A simulated arm stays the one that has moved; any other is given back and opened
-    anew, so that its user may move it. The session is not tared without a motion.
+    anew, so that its user may move it. The session is not tared without a stroke.
 
     Args:
         name: The arm as the command line names it.
         robot: Options that describe the robot.
         options: Motor constants of a UR.
-        motion: That the arm makes, and is tared from; None for none.
+        stroke_m: That the arm makes, and is tared from; None for none.
         watch: Whether the user is asked.
 
     Raises:
         CommandError: The user says no, or the arm sends no torques.
     """
     constants_Nm_A = options.motor_constants
-    if motion is None:
+    if stroke_m is None:
         with open_arm(name, robot, constants_Nm_A) as connected:
             yield connected, InsertionSession(connected.robot)
         return
     if name.startswith("ur:") and constants_Nm_A is None:
         raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
-    swings = motion.swings if motion.swivel_rad else 0
+    leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
     text = (
-        f"{name} will draw the needle back by {M_TO_MM * motion.stroke_m:.0f} mm and "
-        f"return in {motion.duration_s:.0f} s; the elbow of an arm of seven joints "
-        f"will swing {swings} times by {math.degrees(motion.swivel_rad):.0f} degrees."
+        f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and return "
+        f"in {2.0 * leg_s:.0f} s."
     )
     if not watch.yes:
         ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
@@ -230,7 +221,10 @@ def _open_tared_arm(
         arm, model = connected
         session = InsertionSession(model)
         say(text)
-        tare_with_stroke(arm, session, limits_of(connected), motion, robot=model)
+        limits = limits_of(connected)
+        tare_with_stroke(
+            arm, session, limits, stroke_m=stroke_m, leg_s=leg_s, robot=model
+        )
         say("tared")
         if isinstance(arm, SimulatedArm):
             yield ConnectedArm(_RestingArm(arm), model), session
