@@ -7,8 +7,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `priority_solver`,
 `controller` (one tick), `state_machine`, `handle_watch`, `monitors`, `manager`, `run`,
-`lag` (delay and gain), `tare_stroke`, `rupture_counter`, `insertion_profile`,
-`guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
+`lag` (delay and gain), `tare_stroke`, `insertion_profile`, `guidance`, `passivity`,
+`teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller

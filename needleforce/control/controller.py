@@ -71,15 +71,9 @@ class DelayPrediction:
                 f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
             )
         self._delay_s = float(delay_s)
-        self._joints = joints
         self._commands = deque[tuple[float, Array]]()  # a time, and the velocity in it
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was commanded, for an arm that has not followed it."""
-        self._commands.clear()
         self._commands_s = 0.0
-        self.motion_ahead_rad = np.zeros(self._joints)
+        self.motion_ahead_rad = np.zeros(joints)
 
     def note_command(self, dq_rad_s: Array, dt_s: float) -> None:
         """Remember a velocity, shape (n,), that was commanded for a time until now.
@@ -139,11 +133,13 @@ class Controller:
         self._cycle_s = limits.cycle_s
         self._tip_m_s = limits.tip_m_s
         self._joints = joints
-        self._prediction = DelayPrediction(joints, delay_s or 0.0)
+        self._delay_s = delay_s or 0.0
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
         self._stack = Stack((), robot.nv)
-        self._step_s = 1e-3  # of a first, invalid sample: the usual cycle
+        # Time over which a change of the command counts: where the jerk is limited the
+        # arm's cycle, however many samples were lost since the last command.
+        self._change_s = 1e-3 if limits.cycle_s is None else limits.cycle_s
         self.reset()
 
     def reset(self) -> None:
@@ -155,7 +151,8 @@ class Controller:
         self.last_rad_s = np.zeros(self._joints)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
-        self._prediction.reset()
+        # An arm that has not followed its commands is not where they lead.
+        self._prediction = DelayPrediction(self._joints, self._delay_s)
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; always answer, whatever the sample.
@@ -190,7 +187,8 @@ class Controller:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
-            self._step_s = min(dt_s, MAX_STEP_s)
+            if self._cycle_s is None:
+                self._change_s = min(dt_s, MAX_STEP_s)
             predicted_rad = q_rad + self._prediction.motion_ahead_rad
             self.tool.update(self._filter_positions(predicted_rad, dt_s))
             self._select_stack(stack)
@@ -207,15 +205,6 @@ class Controller:
         return self._command(
             velocity_rad_s, is_limited=is_limited, is_damped=numbers.is_damped
         )
-
-    @property
-    def _change_time_s(self) -> float:
-        """Time over which a change of the command counts.
-
-        Where the jerk is limited it is the arm's cycle, however many samples were lost
-        since the last command.
-        """
-        return self._step_s if self._cycle_s is None else self._cycle_s
 
     def _filter_positions(self, q_rad: Array, dt_s: float) -> Array:
         """Return positions, low-passed about the commanded motion if jerk is limited.
@@ -244,7 +233,7 @@ class Controller:
             q_rad,
             self.last_rad_s,
             self._acceleration_rad_s2,
-            self._change_time_s,
+            self._change_s,
             SLACK_rad_s,
             bounds,
         )
@@ -293,6 +282,6 @@ class Controller:
         """Remember a velocity as the last one, and return it as a command."""
         velocity_rad_s.setflags(write=False)
         change_rad_s = velocity_rad_s - self.last_rad_s
-        self._acceleration_rad_s2 = change_rad_s / self._change_time_s
+        self._acceleration_rad_s2 = change_rad_s / self._change_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, reason, is_limited, is_damped)

@@ -19,9 +19,6 @@ from foundation.arrays import Array
 from needleforce.control.ports import MasterSample
 from residual.checks.input import as_float
 
-MAX_HANDLE = 100.0
-"""No handle is further away [m], or quicker [m/s]."""
-
 MAX_SILENT_s = 0.03
 """A device that has sent nothing usable for so long is gone: with 20 ms to the next
 cycle of the manager and the arm's own, it is noticed within 50 ms."""
@@ -29,23 +26,6 @@ cycle of the manager and the arm's own, it is noticed within 50 ms."""
 FROZEN_s = 0.03
 """A device that has repeated one sample for so long is frozen: encoders of 10 um show
 the tremor of a hand at rest within it."""
-
-MAX_JUMP_m = 5e-3
-"""No hand moves a handle further between two samples of a device at 200 Hz or more."""
-
-VELOCITY_MEMORY_s = 0.02
-"""Time constant of the means that compare velocity and positions: encoder steps of
-10 um at 1 kHz leave 1 mm/s in them."""
-
-VELOCITY_TOLERANCE_m_s = 0.01
-"""The two means may differ so much, for encoder steps and the device's own filter."""
-
-VELOCITY_TOLERANCE_RATIO = 0.5
-"""And by this fraction of the speed: cycles of device and loop drift through each
-other, so that a sample comes twice or not at all."""
-
-CONTRADICTED_s = 0.04
-"""A velocity contradicted for so long is wrong, not late."""
 
 
 class HandleReading(NamedTuple):
@@ -89,7 +69,8 @@ def _parse(sample: MasterSample | None) -> HandleReading | None:
         reading = HandleReading(*vectors, is_coupled=bool(handle.clutch))
     except (AttributeError, TypeError, ValueError):
         return None
-    is_possible = vectors.shape == (2, 3) and (np.abs(vectors) < MAX_HANDLE).all()
+    # No handle is further away [m], or quicker [m/s].
+    is_possible = vectors.shape == (2, 3) and (np.abs(vectors) < 100.0).all()
     return reading if is_possible else None
 
 
@@ -106,7 +87,7 @@ class HandleWatch:
         self._since_s = math.inf  # time since the last usable sample
         self._repeated_s = 0.0  # time for which one sample has been repeated
         self._contradicted_s = 0.0  # time for which the velocity has been wrong
-        # Means over `VELOCITY_MEMORY_s`, which lag alike: by positions, as reported.
+        # Means over 20 ms, which lag alike: by positions, as reported.
         self._means_m_s = np.zeros((2, 3))
 
     def update(self, sample: MasterSample | None, dt_s: float) -> HandleReport:
@@ -166,7 +147,13 @@ class HandleWatch:
 
         Of two that contradict each other it is the slower one, in each direction, and
         none where they oppose each other. A device that reports zeros has no velocity
-        to report: that of its positions is used.
+        to report: that of its positions is used. A velocity that is contradicted for 40
+        ms is wrong, not late.
+
+        Encoder steps of 10 um at 1 kHz leave 1 mm/s in means over 20 ms. They may
+        differ by 10 mm/s, for these steps and the device's own filter, and by half the
+        speed: cycles of device and loop drift through each other, so that a sample
+        comes twice or not at all.
 
         Args:
             reading: The sample.
@@ -174,7 +161,8 @@ class HandleWatch:
             since_s: The time of that.
         """
         distance_m = math.sqrt(float(moved_m @ moved_m))
-        if distance_m > MAX_JUMP_m:
+        # No hand moves a handle further between two samples of 200 Hz or more.
+        if distance_m > 5e-3:
             self._means_m_s[:] = 0.0  # positions before say nothing about it
             return HandleReport(
                 reading._replace(velocity_m_s=np.zeros(3)),
@@ -183,12 +171,12 @@ class HandleWatch:
                 has_jumped=True,
             )
         velocities_m_s = np.array((moved_m / since_s, reading.velocity_m_s))
-        weight = since_s / (VELOCITY_MEMORY_s + since_s)
+        weight = since_s / (0.02 + since_s)
         self._means_m_s += weight * (velocities_m_s - self._means_m_s)
         by_positions_m_s, reported_m_s = self._means_m_s
         error_m_s = np.linalg.norm(reported_m_s - by_positions_m_s)
-        tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(by_positions_m_s)
-        is_contradicted = error_m_s > VELOCITY_TOLERANCE_m_s + tolerated_m_s
+        tolerated_m_s = 0.01 + 0.5 * np.linalg.norm(by_positions_m_s)
+        is_contradicted = bool(error_m_s > tolerated_m_s)
         has_velocity = bool(reported_m_s.any())
         wrong_s = self._contradicted_s + since_s
         self._contradicted_s = wrong_s if is_contradicted and has_velocity else 0.0
@@ -196,7 +184,7 @@ class HandleWatch:
             return HandleReport(reading)
         if not has_velocity:
             return HandleReport(reading._replace(velocity_m_s=by_positions_m_s.copy()))
-        is_wrong = self._contradicted_s >= CONTRADICTED_s
+        is_wrong = self._contradicted_s >= 0.04
         is_along = reading.velocity_m_s * by_positions_m_s > 0.0
         slower_m_s = np.minimum(np.abs(reading.velocity_m_s), np.abs(by_positions_m_s))
         return HandleReport(

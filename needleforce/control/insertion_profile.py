@@ -12,10 +12,9 @@ from dataclasses import asdict, dataclass
 from numbers import Integral
 from typing import NamedTuple
 
-from identification.estimate import Estimate
+from identification.estimate import Estimate, RuptureState
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.manager import Situation
-from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.state_machine import State
 from needleforce.control.tare_stroke import find_stroke_speed
 
@@ -25,6 +24,139 @@ plan."""
 
 SETTLED_s = 0.1
 """So long after its last change a command is steady: late forces fall until then."""
+
+
+BLOCK_s = 0.2
+"""Falls newer than this are not ordinary yet: they may be the rupture itself."""
+
+RUPTURE_s = 0.3
+"""So long after a counted rupture the force may still fall because of it."""
+
+LARGE_FALL_N = 0.08
+"""A smaller fall is not large, however small the force is: the force has such
+errors."""
+
+MIN_FALL_N = 0.03
+"""Least fall of a likely rupture, and of an alarm: noise of the force stays below."""
+
+
+class RuptureCounter:
+    """Counts the layers that a needle has left.
+
+    By itself the identification must wait whether a fall of the force is a needle that
+    brakes. At a steady command it is none, but a beating heart, a jerky arm and slow
+    noise make the force fall, too, again and again. So a fall counts if it is large, or
+    likely a rupture, and several times the largest of the last seconds; with an alarm
+    of the identification, a confirmed one, any larger one counts.
+
+    Attributes:
+        count: Ruptures so far.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._rupture_m = -math.inf  # depth of the last rupture
+        self._force_N = 0.0
+        self._peak_N = 0.0  # force before a fall
+        self._in_tissue_s = 0.0
+        self._fallen_s = 0.0  # time since a likely rupture
+        self._ordinary_N = 0.0  # largest fall of the last seconds that was no rupture
+        self._block_N = 0.0  # largest fall of the present block
+        self._previous_N = 0.0  # largest fall of the block before it
+        self._block_s = 0.0  # age of the block; below zero a rupture still falls
+
+    def update(
+        self,
+        identification: Estimate,
+        axial_N: float,
+        depth_m: float,
+        dt_s: float,
+        *,
+        is_steady: bool,
+    ) -> bool:
+        """Return whether one more layer has been left.
+
+        Args:
+            identification: Of the force sensor.
+            axial_N: Its axial force; a sample that is not finite is skipped.
+            depth_m: Of the tip.
+            dt_s: Time since the last call.
+            is_steady: Whether the commanded speed is.
+        """
+        if not math.isfinite(axial_N):
+            return False
+        in_contact = identification.in_contact
+        in_tissue_s = self._in_tissue_s + (dt_s if in_contact else -dt_s)
+        self._in_tissue_s = max(in_tissue_s, 0.0)
+        self._filter_force(axial_N, dt_s, is_steady)
+        fall_N = self._peak_N - self._force_N
+        self._note_fall(fall_N if in_contact else min(fall_N, LARGE_FALL_N), dt_s)
+        alarm = identification.rupture
+        if alarm:
+            fall_N = max(self._peak_N, alarm.force_N) - self._force_N
+        is_likely = is_steady and self._is_likely(identification, fall_N)
+        self._fallen_s = self._fallen_s + dt_s if is_likely else 0.0
+        is_alarm = alarm is not None and fall_N > max(self._ordinary_N, MIN_FALL_N)
+        # A fall that does not last for two samples of 1 kHz is a jerk of the arm.
+        is_rupture = in_contact and (is_alarm or self._fallen_s > 1.5e-3)
+        rupture_m = alarm.depth_m if alarm else depth_m
+        # Two ruptures less than 3 mm apart are one.
+        if not is_rupture or rupture_m < self._rupture_m + 3e-3:
+            return False
+        self.count += 1
+        self._rupture_m = depth_m
+        self._in_tissue_s = 0.0
+        # Its own fall is left out.
+        self._block_s = -RUPTURE_s
+        self._block_N = 0.0
+        self._previous_N = 0.0
+        return True
+
+    def _filter_force(self, axial_N: float, dt_s: float, is_steady: bool) -> None:
+        """Smooth the force, and let the force before a fall follow it slowly.
+
+        Time constants are 3 ms, which removes the noise of single samples, and 0.1 s:
+        most ruptures are over sooner. A force that rises by more than 15 N/s is a jerk
+        of the arm, no push of tissue.
+
+        What falls after a counted rupture is that rupture, and what falls while the
+        command changes is the motion: then nothing counts as a fall.
+        """
+        self._force_N -= math.expm1(-dt_s / 3e-3) * (axial_N - self._force_N)
+        self._peak_N += dt_s / 0.1 * (self._force_N - self._peak_N)
+        if self._block_s < 0.0 or not is_steady:
+            self._peak_N = self._force_N
+        self._peak_N += min(max(self._force_N - self._peak_N, 0.0), 15.0 * dt_s)
+
+    def _note_fall(self, fall_N: float, dt_s: float) -> None:
+        """Update the largest fall that was no rupture; newer ones than a block wait.
+
+        It is forgotten over 5 s, a breath or two.
+        """
+        self._block_s += dt_s
+        self._block_N = max(self._block_N, fall_N)
+        self._ordinary_N *= math.exp(-dt_s / 5.0)
+        if self._block_s > BLOCK_s:
+            self._ordinary_N = max(self._ordinary_N, self._previous_N)
+            self._previous_N = self._block_N
+            self._block_N = 0.0
+            self._block_s = 0.0
+
+    def _is_likely(self, identification: Estimate, fall_N: float) -> bool:
+        """Return whether a fall at a steady command is likely a rupture.
+
+        After a second in tissue a heartbeat has been felt, and falls can be compared:
+        then 3 % of the force is a large one, before 15 %. A rupture falls by twice the
+        ordinary.
+        """
+        is_settled = self._in_tissue_s > 1.0
+        is_expected = identification.rupture_state is RuptureState.EXPECTED
+        fraction = 0.03 if is_settled else 0.15
+        is_large = fall_N > max(fraction * self._peak_N, LARGE_FALL_N)
+        is_candidate = (is_settled and is_expected) or (
+            is_large and self._in_tissue_s > RUPTURE_s + BLOCK_s
+        )
+        return is_candidate and fall_N > max(2.0 * self._ordinary_N, MIN_FALL_N)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,8 +276,8 @@ class InsertionProfile:
         is_refused = last_state == "idle" and self._last.event != "" and not has_begun
         is_left = state != last_state and last_state in ("approach", "tare")
         is_arrival = state == State.IDLE and self._last.event == "arrived"
-        is_broken_off = is_refused or (is_left and not is_arrival)
-        if is_broken_off or state in (State.STOPPED, State.FAULTED):
+        is_stopped = state in (State.STOPPED, State.FAULTED)
+        if is_refused or is_stopped or (is_left and not is_arrival):
             self._program = []
 
     def _next_step(

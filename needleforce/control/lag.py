@@ -36,12 +36,6 @@ PHASE_MARGIN_deg = 55.0
 """phi: K times the delay is then 0.61. Errors decay without a swing up to 1 / e, and
 overshoot by a twentieth at most here."""
 
-MAX_SPEED_rad_s = 0.03
-"""Highest speed of a joint in the chirp."""
-
-MAX_TIP_m = 5e-3
-"""Highest sum of the tip's excursions from the single joints."""
-
 REST_s = 0.3
 """Rest before the chirp, and after it: the longest delay."""
 
@@ -122,8 +116,12 @@ def find_delay(
         )
     speed_rad_s = np.sqrt(np.mean(np.gradient(commanded_rad, step_s) ** 2))
     noise_s = left_rad.std() / (followed * speed_rad_s * math.sqrt(times_s.size))
-    cycle_s = float(np.median(np.diff(times_s)))
-    return Delay(lag * step_s, float(noise_s), followed, cycle_s)
+    return Delay(
+        delay_s=lag * step_s,
+        std_s=float(noise_s),
+        followed=followed,
+        cycle_s=float(np.median(np.diff(times_s))),
+    )
 
 
 def measure_lag(
@@ -173,8 +171,12 @@ def measure_lag(
 
 
 def _find_excursion(controller: Controller, q_rad: Array, rates_per_s: Array) -> float:
-    """Return how far joints go either way from a posture [rad]."""
+    """Return how far joints go either way from a posture [rad].
+
+    No joint exceeds 0.03 rad/s, nor the sum of the tip's excursions from the single
+    joints 5 mm.
+    """
     controller.tool.update(q_rad)
     reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0).sum()
-    by_speed_rad = MAX_SPEED_rad_s / np.abs(rates_per_s).max()
-    return float(min(by_speed_rad, MAX_TIP_m / reach_m_per_rad))
+    by_speed_rad = 0.03 / np.abs(rates_per_s).max()
+    return float(min(by_speed_rad, 5e-3 / reach_m_per_rad))

@@ -21,9 +21,6 @@ from residual.estimate import Status
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate
 
-ENTRY_MARGIN_m = 1e-3
-"""So far above the place of the first contact the needle counts as outside."""
-
 MAX_HEARTBEAT_GAP_s = 0.1
 """Longest time between two heartbeats; a program that hangs is noticed as soon."""
 
@@ -96,8 +93,8 @@ class _TissueEntry:
 
     @property
     def is_outside(self) -> bool:
-        """Whether the needle is known to be outside tissue."""
-        return self._depth_m < self._entry_m - ENTRY_MARGIN_m
+        """Whether the needle is known to be outside tissue, by a millimetre."""
+        return self._depth_m < self._entry_m - 1e-3
 
     def forget(self) -> None:
         """Forget the entry: the needle is in free air."""
@@ -191,7 +188,7 @@ class Manager:
         It never raises for a bad sample.
         """
         names = ("q_rad", "dq_rad_s", "tau_Nm", "dt_s")
-        signals = [getattr(sample, name, None) for name in names]
+        signals: list[Any] = [getattr(sample, name, None) for name in names]
         dt_s = as_float(signals[-1])
         if 0.0 < dt_s <= 0.1:  # a longer one is a clock that was set
             self._step_s = dt_s
@@ -213,8 +210,7 @@ class Manager:
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._has_heartbeat:
-            silence = f"no heartbeat for {MAX_HEARTBEAT_GAP_s:g} s"
-            self._apply("stop", {"reason": silence})
+            self._apply("stop", {"reason": f"no heartbeat for {MAX_HEARTBEAT_GAP_s} s"})
         return Situation(
             state=self._state,
             state_s=self._time_s - self._state_start_s,

@@ -89,18 +89,6 @@ class Beside(NamedTuple):
 NOTHING = Beside()
 """Nothing came beside a sample."""
 
-_FAULTS = SensorWarning.FROZEN | SensorWarning.VELOCITY
-"""Warnings of signals that are broken."""
-
-_FORCE_UNUSABLE = (
-    SensorWarning.JOINT_LIMIT
-    | SensorWarning.NEAR_SINGULAR
-    | SensorWarning.MODEL_MISMATCH
-    | SensorWarning.TARE_EXPIRED
-    | SensorWarning.TORQUE_JUMP
-)
-"""Warnings of a force that is not to be relied upon."""
-
 _IN_AIR = (State.GUIDANCE, State.APPROACH, State.TARE)
 _AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
 
@@ -226,13 +214,18 @@ class Monitors:
         has_sensor = beside.axial_N is not None
         axial_N = as_float(beside.axial_N) if has_sensor else estimate.wrench.axial
         self._lateral_N = estimate.wrench.lateral
-        device_fault = "nobody reads the haptic device"
-        if beside.handle is not None:
-            device_fault = beside.handle.fault
+        handle = beside.handle
+        device_fault = handle.fault if handle else "nobody reads the haptic device"
         self.has_device = not device_fault
+        status = estimate.identification.status
+        if has_sensor:
+            status = beside.sample_status
+        # No tissue exerts it.
+        is_pull = status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING
+        pull = f"axial force {axial_N:.2f} N: {status.value}" if is_pull else ""
         fault = (
             self._check_signals(estimate, sample, axial_N, step_s)
-            or self._check_pull(estimate, beside, axial_N)
+            or pull
             or self._check_command(estimate, sample, beside, step_s)
         )
         self._clear_s = 0.0 if fault else self._clear_s + step_s
@@ -271,19 +264,8 @@ class Monitors:
         if self._bad_s > self._limits.lost_s:
             reason = message or f"axial force {axial_N}"
             return f"bad samples for {1e3 * self._bad_s:.0f} ms: {reason}"
-        is_broken = bool(estimate.warnings & _FAULTS) and not is_rejected
-        return message if is_broken else ""
-
-    def _check_pull(
-        self, estimate: "SessionEstimate", beside: Beside, axial_N: float
-    ) -> str:
-        """Return what is wrong where no tissue exerts the force."""
-        status = estimate.identification.status
-        if beside.axial_N is not None:
-            status = beside.sample_status
-        if status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING:
-            return f"axial force {axial_N:.2f} N: {status.value}"
-        return ""
+        broken = SensorWarning.FROZEN | SensorWarning.VELOCITY
+        return message if estimate.warnings & broken and not is_rejected else ""
 
     def _check_command(
         self,
@@ -356,19 +338,25 @@ class Monitors:
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
     ) -> str:
         """Return what is wrong with the axial force, now or a time ahead."""
-        state = self._state
-        if state in _IN_AIR:
+        if self._state in _IN_AIR:
             return self._check_axial_in_air(estimate)
-        if state not in _AT_TISSUE:
+        if self._state not in _AT_TISSUE:
             return ""
-        if estimate.warnings & _FORCE_UNUSABLE and state in _ADVANCING:
+        unusable = (
+            SensorWarning.JOINT_LIMIT
+            | SensorWarning.NEAR_SINGULAR
+            | SensorWarning.MODEL_MISMATCH
+            | SensorWarning.TARE_EXPIRED
+            | SensorWarning.TORQUE_JUMP
+        )
+        if estimate.warnings & unusable and self._state in _ADVANCING:
             return estimate.wrench.message
         pushing_N = max(axial_N, ahead_N)
         pulling_N = -min(axial_N, ahead_N)
         against_N = {
             State.WITHDRAW: pulling_N,
             State.TELEOP: max(pushing_N, pulling_N),
-        }.get(state, pushing_N)
+        }.get(self._state, pushing_N)
         if against_N > self._limits.axial_N:
             return (
                 f"axial force {axial_N:.2f} N, {against_N:.2f} N ahead; "

@@ -13,7 +13,7 @@ from needleforce.control import (
     SettingError,
     State,
 )
-from needleforce.control.rupture_counter import RuptureCounter
+from needleforce.control.insertion_profile import RuptureCounter
 from needleforce.control.state_machine import MOVING
 
 DT = 1e-3

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from groundtruth.errors import PlantError
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator, random_operator
-from needleforce.control import HandleWatch, SettingError
+from needleforce.control import HandleReport, HandleWatch, SettingError
 from needleforce.control.passivity import HandPort, NeedlePort, Port, passive_fraction
 from needleforce.control.teleoperation import shown_force
 from residual import Status
@@ -431,7 +431,9 @@ def test_a_cut_line_stops_the_needle():
     speeds_m_s = []
     for k in range(1000):
         if k == 300:
-            line.exchange = repeat_last(tele.device.update(None, None, DT))
+            line.exchange = repeat_last(
+                tele.device.update(HandleReport(None), None, DT)
+            )
         command = answer(tele, handle(1e-5 * k, 0.01), estimate(depth_m=depth_m))
         depth_m += DT * command.speed_m_s
         speeds_m_s.append(command.speed_m_s)
