@@ -74,3 +74,20 @@ class Needle:
         """Move for a tick; the arm's servo is 5 ms late."""
         self.speed_m_s += (command.speed_m_s - self.speed_m_s) / 6.0
         self.depth_m += self.speed_m_s * DT
+
+
+def track(tele, samples, force_at=lambda depth_m: 0.0, needle=None, **how):
+    """Let a needle follow samples of the handle.
+
+    Returns for every tick its depth [m], the commanded speed [m/s], the force on the
+    hand and the one that is to be shown [N].
+    """
+    needle = needle or Needle()
+    rows = []
+    for sample in samples:
+        motion = {"depth_m": needle.depth_m, "speed_m_s": needle.speed_m_s}
+        known = estimate(force_at(needle.depth_m), **motion | how)
+        move = answer(tele, sample, known)
+        needle.follow(move)
+        rows.append((needle.depth_m, move.speed_m_s, move.force_N[2], tele.shown_N))
+    return np.transpose(rows)
