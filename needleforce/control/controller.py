@@ -15,7 +15,7 @@ import numpy as np
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from foundation.jit import compile_waiting
-from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.joint_limits import Limits, SLACK_rad_s
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Stack, hierarchical
@@ -126,7 +126,6 @@ class Controller:
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
             raise SettingError(
                 f"limits of {joints} joints, the robot has {robot.nv}",
-                RIGHT_LIMITS,
             )
         self.tool = ToolState(robot)
         self._limit_rows = np.array((*limits.joints, limits.joints.acceleration_rad_s2))
@@ -174,7 +173,6 @@ class Controller:
                 "this arm is real and the controller's limits have none of the jerk: "
                 "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
                 "jerk_rad_s3=...)",
-                RIGHT_LIMITS,
             )
         try:
             q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
@@ -192,18 +190,17 @@ class Controller:
             predicted_rad = q_rad + self._prediction.motion_ahead_rad
             self.tool.update(self._filter_positions(predicted_rad, dt_s))
             self._select_stack(stack)
-            numbers = self._stack
-            numbers.fill(stack, self.tool)
-            self._write_bounds(predicted_rad, numbers.bounds)
+            self._stack.fill(stack, self.tool)
+            self._write_bounds(predicted_rad, self._stack.bounds)
             if not stack:
-                return self._command(np.clip(0.0, *numbers.bounds))
-            velocity_rad_s, is_limited = hierarchical(numbers)
-            velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
+                return self._command(np.clip(0.0, *self._stack.bounds))
+            velocity_rad_s, is_limited = hierarchical(self._stack)
+            velocity_rad_s = self._slow_tip(velocity_rad_s, self._stack.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
         except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
         return self._command(
-            velocity_rad_s, is_limited=is_limited, is_damped=numbers.is_damped
+            velocity_rad_s, is_limited=is_limited, is_damped=self._stack.is_damped
         )
 
     def _filter_positions(self, q_rad: Array, dt_s: float) -> Array:

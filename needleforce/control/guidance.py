@@ -40,19 +40,8 @@ from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
-LAG_s = 0.015
-"""T: shorter lets the noise of the torques through, longer makes the arm feel soft."""
-
-SMOOTHING_s = 5e-3
-"""T_u: the residual holds a part of the arm's own acceleration, a cycle late. Without
-this lag the acceleration follows it so fast that both swing at 250 Hz."""
-
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
-
-FIRST_DAMPING_FACTOR = 3.0
-"""c when a hand is first felt: with 1 a hand of 5000 N/m swings an arm by 30 mm where
-torques come late."""
 
 
 def find_damping_of_arm(robot: Robot) -> Array:
@@ -154,8 +143,12 @@ class Guidance:
             grown_Nm = math.exp(dt_s / 20.0) * self._sigma_Nm
             self._sigma_Nm = np.fmin(grown_Nm, sigma_Nm)
         zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
-        decay = math.exp(-dt_s / LAG_s)
-        smoothing = math.exp(-dt_s / SMOOTHING_s)
+        # T: shorter lets the noise of the torques through, longer makes the arm feel
+        # soft. T_u: the residual holds a part of the arm's own acceleration, a cycle
+        # late; without this lag the acceleration follows it so fast that both swing at
+        # 250 Hz.
+        decay = math.exp(-dt_s / 0.015)
+        smoothing = math.exp(-dt_s / 5e-3)
         beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
         self._rejected_s += dt_s
         if is_valid and np.abs(beyond_Nm).max() < MAX_PLAUSIBLE:
@@ -216,12 +209,15 @@ class Guidance:
         )
         rise_per_s = 30.0 * max(1.0 - steady_ratio / 0.9, 0.0)
         rate_per_s = rise_per_s - 4.0 * math.log(self._factor)
-        grown = max(self._factor * math.exp(dt_s * rate_per_s), 1.0)
-        self._factor = min(grown, 50.0)
+        self._factor = min(max(self._factor * math.exp(dt_s * rate_per_s), 1.0), 50.0)
 
     def _forget_swings(self) -> None:
-        """Begin the means anew, with the damping of a hand that is first felt."""
-        self._factor = max(self._factor, FIRST_DAMPING_FACTOR)
+        """Begin the means anew, with the damping of a hand that is first felt.
+
+        With c = 1, not 3, a hand of 5000 N/m swings an arm by 30 mm where torques come
+        late.
+        """
+        self._factor = max(self._factor, 3.0)
         self._mean_rad_s = np.zeros_like(self._damping_Nms)  # m
         self._mean_power_W = 0.0  # p
         self._weight = 0.0  # of the samples in the means: 1 once they are full

@@ -19,14 +19,6 @@ from foundation.arrays import Array
 from needleforce.control.ports import MasterSample
 from residual.checks.input import as_float
 
-MAX_SILENT_s = 0.03
-"""A device that has sent nothing usable for so long is gone: with 20 ms to the next
-cycle of the manager and the arm's own, it is noticed within 50 ms."""
-
-FROZEN_s = 0.03
-"""A device that has repeated one sample for so long is frozen: encoders of 10 um show
-the tremor of a hand at rest within it."""
-
 
 class HandleReading(NamedTuple):
     """A usable sample of the handle, in the device's axes.
@@ -108,14 +100,17 @@ class HandleWatch:
         reading = _parse(sample)
         if reading is None:
             what = "is silent" if sample is None else "sends no finite numbers"
-            is_gone = since_s >= MAX_SILENT_s
+            # With 20 ms to the next cycle of the manager and the arm's own, it is
+            # noticed within 50 ms.
+            is_gone = since_s >= 0.03
             return HandleReport(None, f"the haptic device {what}" if is_gone else "")
         last = self._last
         is_repeated = last is not None and self._is_repeated(sample, reading, last)
         self._last = reading
         self._last_t_s = getattr(sample, "t_s", None)
         self._repeated_s = self._repeated_s + dt_s if is_repeated else 0.0
-        if self._repeated_s >= FROZEN_s:
+        # Encoders of 10 um show the tremor of a hand at rest within it.
+        if self._repeated_s >= 0.03:
             return HandleReport(
                 None,
                 "the haptic device has repeated one sample: it is frozen, or nobody "

@@ -86,8 +86,8 @@ class RuptureCounter:
         if not math.isfinite(axial_N):
             return False
         in_contact = identification.in_contact
-        in_tissue_s = self._in_tissue_s + (dt_s if in_contact else -dt_s)
-        self._in_tissue_s = max(in_tissue_s, 0.0)
+        step_s = dt_s if in_contact else -dt_s
+        self._in_tissue_s = max(self._in_tissue_s + step_s, 0.0)
         self._filter_force(axial_N, dt_s, is_steady)
         fall_N = self._peak_N - self._force_N
         self._note_fall(fall_N if in_contact else min(fall_N, LARGE_FALL_N), dt_s)
@@ -151,8 +151,8 @@ class RuptureCounter:
         """
         is_settled = self._in_tissue_s > 1.0
         is_expected = identification.rupture_state is RuptureState.EXPECTED
-        fraction = 0.03 if is_settled else 0.15
-        is_large = fall_N > max(fraction * self._peak_N, LARGE_FALL_N)
+        large_N = (0.03 if is_settled else 0.15) * self._peak_N
+        is_large = fall_N > max(large_N, LARGE_FALL_N)
         is_candidate = (is_settled and is_expected) or (
             is_large and self._in_tissue_s > RUPTURE_s + BLOCK_s
         )
@@ -288,24 +288,22 @@ class InsertionProfile:
         axial_N: float,
     ) -> Step:
         """Return what to do in the present state."""
-        plan = self._plan
         depth_m = situation.estimate.depth_m
         match situation.state:
             case State.IDLE if self._program:
                 return Step(0.0, self._program[0])
             case State.APPROACH:
-                return self._stroke(situation, [plan.approach_m])
+                return self._stroke(situation, [self._plan.approach_m])
             case State.TARE:
                 return self._stroke(
-                    situation, [-plan.tare_stroke_m, plan.tare_stroke_m]
+                    situation, [-self._plan.tare_stroke_m, self._plan.tare_stroke_m]
                 )
             case State.INSERTION:
                 return self._insert(identification, axial_N, depth_m, dt_s)
+            case State.DWELL if situation.state_s >= self._plan.dwell_s:
+                return Step(0.0, "arrived")
             case State.DWELL:
-                is_over = situation.state_s >= plan.dwell_s
-                return (
-                    Step(0.0, "arrived") if is_over else Step(self._hold_tip(depth_m))
-                )
+                return Step(self._hold_tip(depth_m))
             case State.WITHDRAW:
                 return self._move_by(-max(depth_m, 0.0), dt_s)
             case _:
@@ -359,18 +357,18 @@ class InsertionProfile:
     def _move_by(self, distance_m: float, dt_s: float) -> Step:
         """Move by a distance that remains, to its end and no further."""
         remaining_m = abs(distance_m)
+        acceleration_m_s2 = self._plan.acceleration_m_s2
         if remaining_m < ARRIVED_m:
             return Step(0.0, "arrived")
-        acceleration_m_s2 = self._plan.acceleration_m_s2
         wanted_m_s = min(
             self._plan.speed_m_s,
             math.sqrt(2.0 * acceleration_m_s2 * remaining_m),
             10.0 * remaining_m,  # per second
         )
         wanted_m_s = math.copysign(wanted_m_s, distance_m)
-        lowest_m_s = self._last.speed_m_s - acceleration_m_s2 * dt_s
-        highest_m_s = self._last.speed_m_s + acceleration_m_s2 * dt_s
-        return Step(min(max(wanted_m_s, lowest_m_s), highest_m_s))
+        change_m_s = acceleration_m_s2 * dt_s
+        last_m_s = self._last.speed_m_s
+        return Step(min(max(wanted_m_s, last_m_s - change_m_s), last_m_s + change_m_s))
 
     def _stroke(self, situation: Situation, legs_m: Sequence[float]) -> Step:
         """Move along strokes from rest to rest, one after another."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Vector
-from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import Robot
 
@@ -73,8 +73,14 @@ class Limits:
         tip_m_s: float | None = None,
         cycle_s: float = 1e-3,
     ) -> None:
-        positive = {"cycle_s": cycle_s, "tip_m_s": 1.0 if tip_m_s is None else tip_m_s}
-        require_positive(positive | {"margin_rad": margin_rad}, or_zero="margin_rad")
+        require_positive(
+            {
+                "cycle_s": cycle_s,
+                "tip_m_s": 1.0 if tip_m_s is None else tip_m_s,
+                "margin_rad": margin_rad,
+            },
+            or_zero=("margin_rad",),
+        )
         self.tip_m_s = tip_m_s
         self.cycle_s = None if jerk_rad_s3 is None else cycle_s
         given = (
@@ -88,7 +94,7 @@ class Limits:
             rows = [np.broadcast_to(np.asarray(row, float), robot.nv) for row in given]
         except (TypeError, ValueError):
             raise SettingError(
-                f"limits must be one number or {robot.nv}, one per joint", RIGHT_LIMITS
+                f"limits must be one number or {robot.nv}, one per joint"
             ) from None
         limits = JointLimits(*np.array(rows))
         is_usable = (
@@ -105,7 +111,6 @@ class Limits:
                 f"expected room beyond a margin of {margin_rad:g} rad from their ends, "
                 "positive limits of speed, acceleration and jerk, and speeds not above "
                 f"the robot's own, {robot.velocity_limit_rad_s.tolist()} rad/s",
-                RIGHT_LIMITS,
             )
         limits.speed_rad_s[:] -= SLACK_rad_s
         if self.cycle_s is not None:
@@ -142,14 +147,12 @@ class Limits:
             raise SettingError(
                 f"no limits of an arm {name!r}, expected one of "
                 f"{', '.join(ARM_LIMITS)}",
-                RIGHT_LIMITS,
             )
         preset = ARM_LIMITS[name] if isinstance(name, str) else name
         joint_count = len(preset.speed_rad_s)
         if joint_count != robot.nv:
             raise SettingError(
                 f"limits of {joint_count} joints ({name}), the robot has {robot.nv}",
-                RIGHT_LIMITS,
             )
         return cls(
             robot,

@@ -71,9 +71,9 @@ class SafeGain(NamedTuple):
 def find_safe_gain(delay: Delay) -> SafeGain:
     """Return the largest gain that a delay allows, see the module."""
     delay_s = max(delay.delay_s, 0.0) + 0.5 * delay.cycle_s
-    late_s = delay_s + 2.0 * delay.std_s
+    margin_rad = math.radians(PHASE_MARGIN_deg)
     return SafeGain(
-        safe_per_s=(0.5 * math.pi - math.radians(PHASE_MARGIN_deg)) / late_s,
+        safe_per_s=(0.5 * math.pi - margin_rad) / (delay_s + 2.0 * delay.std_s),
         unstable_per_s=0.5 * math.pi / delay_s,
     )
 
@@ -115,10 +115,10 @@ def find_delay(
             RIGHT_ARM,
         )
     speed_rad_s = np.sqrt(np.mean(np.gradient(commanded_rad, step_s) ** 2))
-    noise_s = left_rad.std() / (followed * speed_rad_s * math.sqrt(times_s.size))
+    samples = math.sqrt(times_s.size)
     return Delay(
         delay_s=lag * step_s,
-        std_s=float(noise_s),
+        std_s=float(left_rad.std() / (followed * speed_rad_s * samples)),
         followed=followed,
         cycle_s=float(np.median(np.diff(times_s))),
     )
@@ -157,7 +157,13 @@ def measure_lag(
         if 0.0 < time_s <= moved_s:
             q_rad = np.array(tick.sample.q_rad, dtype=np.float64)
             if not rows:
-                excursion_rad = _find_excursion(controller, q_rad, rates_per_s)
+                controller.tool.update(q_rad)
+                reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0)
+                # No joint exceeds 0.03 rad/s, nor the sum of the tip's excursions from
+                # the single joints 5 mm.
+                excursion_rad = min(
+                    0.03 / np.abs(rates_per_s).max(), 5e-3 / reach_m_per_rad.sum()
+                )
             rows.append((time_s, q_rad, controller.last_rad_s))
             rate_per_s = np.interp(time_s - REST_s, chirp_s, rates_per_s, 0.0, 0.0)
             tick.tasks = [JointVelocity(np.full(robot.nv, excursion_rad * rate_per_s))]
@@ -168,15 +174,3 @@ def measure_lag(
             sent_rad_s[1:].T, positions_rad.T, robot.joint_names, strict=True
         )
     ]
-
-
-def _find_excursion(controller: Controller, q_rad: Array, rates_per_s: Array) -> float:
-    """Return how far joints go either way from a posture [rad].
-
-    No joint exceeds 0.03 rad/s, nor the sum of the tip's excursions from the single
-    joints 5 mm.
-    """
-    controller.tool.update(q_rad)
-    reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0).sum()
-    by_speed_rad = 0.03 / np.abs(rates_per_s).max()
-    return float(min(by_speed_rad, 5e-3 / reach_m_per_rad))

@@ -89,15 +89,11 @@ class Beside(NamedTuple):
 NOTHING = Beside()
 """Nothing came beside a sample."""
 
-_IN_AIR = (State.GUIDANCE, State.APPROACH, State.TARE)
 _AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
 
 _ADVANCING = (State.TELEOP, State.INSERTION)
 """States that need a usable force; without it a needle can be held, and must come
 out."""
-
-_HOLDING = (*_ADVANCING, State.DWELL)
-"""States in which a force that pulls is a fault: a dwell may have begun by it."""
 
 
 class CommandTracking:
@@ -217,11 +213,11 @@ class Monitors:
         handle = beside.handle
         device_fault = handle.fault if handle else "nobody reads the haptic device"
         self.has_device = not device_fault
-        status = estimate.identification.status
-        if has_sensor:
-            status = beside.sample_status
-        # No tissue exerts it.
-        is_pull = status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING
+        own_status = estimate.identification.status
+        status = beside.sample_status if has_sensor else own_status
+        # No tissue exerts it; a dwell may have begun by it.
+        is_held = self._state in (*_ADVANCING, State.DWELL)
+        is_pull = is_held and status is SampleStatus.NEEDLE_PULLED
         pull = f"axial force {axial_N:.2f} N: {status.value}" if is_pull else ""
         fault = (
             self._check_signals(estimate, sample, axial_N, step_s)
@@ -338,8 +334,16 @@ class Monitors:
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
     ) -> str:
         """Return what is wrong with the axial force, now or a time ahead."""
-        if self._state in _IN_AIR:
-            return self._check_axial_in_air(estimate)
+        if self._state in (State.GUIDANCE, State.APPROACH, State.TARE):
+            # In guidance the force is the hand's, before a tare it holds the bias.
+            if self._entry_axial_N is None:
+                self._entry_axial_N = estimate.wrench.axial
+            max_N = self._limits.free_N
+            if self._state != State.GUIDANCE and estimate.status is Status.OK:
+                max_N = min(self._limits.axial_N, max_N)
+            change_N = abs(estimate.wrench.axial - self._entry_axial_N)
+            is_beyond = change_N > max_N
+            return f"axial force changed by {change_N:.1f} N" if is_beyond else ""
         if self._state not in _AT_TISSUE:
             return ""
         unusable = (
@@ -364,26 +368,12 @@ class Monitors:
             )
         return ""
 
-    def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
-        """Return what is wrong with the change of the axial force in this state.
-
-        In guidance the force is the hand's, before a tare it holds the bias.
-        """
-        axial_N = estimate.wrench.axial
-        if self._entry_axial_N is None:
-            self._entry_axial_N = axial_N
-        max_N = self._limits.free_N
-        if self._state != State.GUIDANCE and estimate.status is Status.OK:
-            max_N = min(self._limits.axial_N, max_N)
-        change_N = abs(axial_N - self._entry_axial_N)
-        return f"axial force changed by {change_N:.1f} N" if change_N > max_N else ""
-
     def _check_plan(self, estimate: "SessionEstimate") -> str:
         """Return what stops an advance by the plan; empty if nothing does."""
         deviation = estimate.deviation
         is_asked = self._limits.stop_off_plan
-        is_watched = is_asked or self._state == State.INSERTION
-        if deviation is None or self._state not in _ADVANCING or not is_watched:
+        watched = _ADVANCING if is_asked else (State.INSERTION,)
+        if deviation is None or self._state not in watched:
             return ""
         if deviation.is_past_target or (is_asked and deviation.is_off_plan):
             return describe_deviation(deviation)

@@ -71,9 +71,8 @@ class Port:
             dt_s: The time that has passed.
         """
         owed_J = self.out_J - incoming_J
-        max_allowance_J = self._max_allowance_J + max(owed_J, 0.0)
         refilled_J = self._allowance_J + self._allowance_W * dt_s
-        self._allowance_J = min(refilled_J, max_allowance_J)
+        self._allowance_J = min(refilled_J, self._max_allowance_J + max(owed_J, 0.0))
         return self._allowance_J - owed_J
 
 

@@ -67,11 +67,9 @@ class Stack:
     """
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
-        for task in tasks:
-            if isinstance(task, JointTask) and task.size != joints:
-                raise SettingError(
-                    f"a task of {task.size} joints, the robot has {joints}"
-                )
+        sizes = [task.size for task in tasks if isinstance(task, JointTask)]
+        if any(size != joints for size in sizes):
+            raise SettingError(f"tasks of {sizes} joints, the robot has {joints}")
         self._has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
         row_tasks = tasks[:-1] if self._has_joint_task else tasks
         sizes = [task.size for task in row_tasks]

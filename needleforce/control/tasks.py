@@ -36,8 +36,6 @@ _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1).reshape(9, 3)
 """The map from r to the matrix of w x r, which acts on w; linear in r."""
 
-_NO_ROTATION = np.zeros(3)
-
 
 class ToolState:
     """Pose and Jacobian of the needle's tip, which all tasks of a tick read.
@@ -130,7 +128,7 @@ class TipTask:
         rotation_rad = (
             pin.log3(self.rotation @ tool.pose[:3, :3].T)
             if self._has_rotation
-            else _NO_ROTATION
+            else np.zeros(3)
         )
         rates[:] = self.rate
         _write_tip_task(

@@ -225,11 +225,10 @@ class DeviceSide:
         )
         scale = self._scale * is_coupled
         # A needle at 100 mm/s would go on by a millimetre after a hand that stops dead.
-        slowest_m_s = speed_m_s - 0.01
-        fastest_m_s = speed_m_s + 0.01
+        sent_m_s = min(max(self._speed_m_s, speed_m_s - 0.01), speed_m_s + 0.01)
         self._packet = HandPacket(
             travel_m=self._packet.travel_m + scale * (position_m - last_m),
-            speed_m_s=scale * min(max(self._speed_m_s, slowest_m_s), fastest_m_s),
+            speed_m_s=scale * sent_m_s,
             energy_J=self.port.in_J,
             is_coupled=is_coupled,
         )
@@ -292,13 +291,12 @@ class NeedleSide:
     def __init__(
         self, motion_scale: float, force_scale: float, speed_limit_m_s: float
     ) -> None:
-        scale = force_scale / motion_scale
-        self._energy_scale = scale
+        self._energy_scale = force_scale / motion_scale
         self._force_scale = force_scale
         self._limit_m_s = speed_limit_m_s
         # What the hand may owe the needle: a delayed force is shown too low while it
         # rises. It is refilled by what hand and tissue dissipate in any case [J, W].
-        self.port = NeedlePort(10e-3 / scale, 2e-3 / scale)
+        self.port = NeedlePort(10e-3 / self._energy_scale, 2e-3 / self._energy_scale)
         self.start_m: float | None = None
         self._news: HandPacket | None = None
         self._silent_s = 0.0
