@@ -142,18 +142,17 @@ def test_a_joint_stops_before_its_end(sign, has_jerk):
         {"margin_rad": 9.0},
         {"margin_rad": -1.0},
         {"margin_rad": None},
+        {"name": "abb"},
+        {"name": "ur5e"},
     ],
 )
 def test_impossible_limits_are_refused(wrong):
+    make = Limits.of_arm if "name" in wrong else Limits
     with pytest.raises(SettingError):
-        Limits(LWR, **wrong)
+        make(LWR, **wrong)
 
 
-def test_a_preset_needs_its_arm():
-    with pytest.raises(SettingError, match="abb"):
-        Limits.of_arm(LWR, "abb")
-    with pytest.raises(SettingError, match="6 joints"):
-        Limits.of_arm(LWR, "ur5e")
+def test_limits_of_another_robot_are_refused():
     with pytest.raises(SettingError, match="6 joints"):
         Controller(LWR, Limits.of_arm(ARMS["ur5e"][0], "ur5e"))
 

@@ -57,12 +57,10 @@ def test_the_arm_yields_beyond_a_dead_zone_only(sign):
 
 def test_swings_are_damped_leading_is_not():
     guidance = Guidance(ROBOT, np.full(7, 10.0))
-    speeds = []
-    for k in range(3000):
-        torque = 5.0 * np.sin(2.0 * np.pi * 5e-3 * k)  # 5 Hz
-        speeds.append(np.abs(velocity(guidance, torque)).max())
+    torques_Nm = 5.0 * np.sin(2.0 * np.pi * 5e-3 * np.arange(3000))  # 5 Hz
+    speeds_rad_s = [np.abs(velocity(guidance, t)).max() for t in torques_Nm]
 
-    assert max(speeds[1500:]) < 0.05  # 5 Nm on 10 Nms
+    assert max(speeds_rad_s[1500:]) < 0.05  # 5 Nm on 10 Nms
     assert np.abs(velocity(guidance, 5.0, 3000)).max() > 0.4
 
 

@@ -10,10 +10,10 @@ from groundtruth.rig_operator import HapticMaster, Operator
 from needleforce.control import Beside, HandleWatch, State
 from tests.needleforce.control.haptic import (
     DT,
-    Needle,
     answer,
     estimate,
     handle,
+    push,
     teleoperate,
     track,
 )
@@ -80,23 +80,14 @@ def stamped(sample):
 def drive(fault, hand_m_s, *, stiffness=500.0, **tele_settings):
     """Drive a needle into a spring 2 mm away, a hand that has a fault after 1 s.
 
-    Returns depth [m], force on the hand [N] and its place [m] of every tick, and the
-    reasons for which the needle stands.
+    Returns depth [m] and force on the hand [N] of every tick, its place in the end [m],
+    and the reasons for which the needle stands.
     """
     device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, hand_m_s * t_s)))
-    tele = teleoperate(**tele_settings)
-    needle = Needle()
-    rows = []
-    reasons = []
-    for k in range(2500):
-        spring_N = stiffness * max(needle.depth_m - 2e-3, 0.0)
-        known = estimate(spring_N, None, needle.depth_m, needle.speed_m_s)
-        move = answer(tele, fault(k * DT, stamped(device.read())), known)
-        device.render(move.force_N)
-        needle.follow(move)
-        rows.append((needle.depth_m, move.force_N[2], device.position_m[2]))
-        reasons.append(move.reason)
-    return *np.transpose(rows), reasons
+    samples = (fault(k * DT, stamped(device.read())) for k in range(2500))
+    spring_N = lambda depth_m, speed_m_s: stiffness * max(depth_m - 2e-3, 0.0)  # noqa: E731
+    rows = track(teleoperate(**tele_settings), samples, spring_N, device=device)
+    return rows[0], rows[2], device.position_m[2], rows[4]
 
 
 @pytest.mark.parametrize("hand_m_s", [0.01, 0.1, -0.03])
@@ -174,7 +165,7 @@ def test_a_device_without_velocity_drives_the_needle_too():
         stiffness=0.0,
     )
 
-    assert depth_m[-1] == pytest.approx(0.4 * hand_m[-1], abs=1e-3)
+    assert depth_m[-1] == pytest.approx(0.4 * hand_m, abs=1e-3)
     assert not any(reasons)
 
 
@@ -197,7 +188,7 @@ def test_an_impossible_handle_sample_counts_as_none(sample):
     forces_N = []
     for wrong in (sample, None):
         samples = [*good[:50], wrong, *good[51:]]
-        forces_N.append(track(teleoperate(), samples, lambda depth_m: 1.0)[2])
+        forces_N.append(track(teleoperate(), samples, push(1.0))[2])
 
     assert np.abs(forces_N[0]).max() > 0.01
     assert forces_N[0].tolist() == forces_N[1].tolist()

@@ -19,6 +19,7 @@ from tests.needleforce.control.haptic import (
     answer,
     estimate,
     handle,
+    push,
     teleoperate,
     track,
 )
@@ -38,18 +39,17 @@ def lines(delay_s, rng):
 
 def drive(plant, tele, master, seconds, rng, clutch=True, is_sent=lambda: True):
     """Drive a needle whose force is late by the observer's 14 ms; return its depth."""
-    needle = Needle()
+    master.clutch = clutch
     late_N = 0.0
-    for _ in range(round(seconds / DT)):
-        master.clutch = clutch
-        late_N += (plant(needle.depth_m, needle.speed_m_s) - late_N) / 15.0
-        noisy_N = late_N + 0.02 * rng.standard_normal()
-        session_estimate = estimate(noisy_N, None, needle.depth_m, needle.speed_m_s)
-        sample = master.read()
-        command = answer(tele, sample if is_sent() else None, session_estimate)
-        master.render(command.force_N)
-        needle.follow(command)
-    return needle.depth_m
+
+    def force_at(depth_m, speed_m_s):
+        nonlocal late_N
+        late_N += (plant(depth_m, speed_m_s) - late_N) / 15.0
+        return late_N + 0.02 * rng.standard_normal()
+
+    reads = (master.read() for _ in range(round(seconds / DT)))
+    samples = (sample if is_sent() else None for sample in reads)
+    return track(tele, samples, force_at, device=master)[0][-1]
 
 
 def advancing(speed_m_s, travel_m):
@@ -208,8 +208,10 @@ def test_the_needle_stands_when_a_quick_hand_stands(
     tele = teleoperate(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
     times_s = DT * np.arange(round((seconds + 1.5) / DT))
     samples = [handle(*hand(t_s, travel_m, seconds)) for t_s in times_s]
-    spring_N = lambda depth_m: stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)  # noqa: E731
-    depths_m, _, forces_N, _ = track(tele, samples, spring_N)
+    spring_N = lambda depth_m, speed_m_s: (  # noqa: E731
+        stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)
+    )
+    depths_m, _, forces_N, *_ = track(tele, samples, spring_N)
     after_m = depths_m[round(seconds / DT) :]
     moving = np.flatnonzero(np.abs(np.diff(after_m)) > 2e-3 * DT)
 
@@ -227,14 +229,14 @@ def test_a_hand_feels_that_the_needle_cannot_follow(hand_m_s, clutch, felt_N):
     """At 20 mm/s and a scale of 0.4 the needle follows a hand of 50 mm/s."""
     samples = [handle(hand_m_s * k * DT, hand_m_s, clutch) for k in range(2000)]
 
-    assert track(teleoperate(), samples)[2, -1] == pytest.approx(felt_N, abs=0.05)
+    assert track(teleoperate(), samples)[2][-1] == pytest.approx(felt_N, abs=0.05)
 
 
 def test_after_a_reset_force_and_motion_are_zero():
     """Neither goes on before the device has sent."""
     tele = teleoperate()
     samples = [handle(4e-5 * k, 0.04) for k in range(500)]
-    _, speeds_m_s, forces_N, _ = track(tele, samples, lambda depth_m: 2.0)
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, push(2.0))
 
     assert speeds_m_s[-1] > 0.01
     assert abs(forces_N[-1]) > 0.5
@@ -259,7 +261,7 @@ def test_after_a_reset_the_needle_does_not_make_up_for_the_hand(is_reset):
 
 def shown_along(tele, ticks, axial_N, **how):
     """Return what is shown over some ticks of the same estimate [N]."""
-    return track(tele, [None] * ticks, lambda depth_m: axial_N, **how)[3]
+    return track(tele, [None] * ticks, push(axial_N), **how)[3]
 
 
 def test_noise_is_hidden_ruptures_show_at_once():
@@ -303,20 +305,20 @@ def test_motion_and_force_end_without_signals():
     """The needle stops without the device, and the force fades without estimates."""
     tele = teleoperate(lines=None)
     needle = Needle()
-    push = lambda depth_m: 1.0  # noqa: E731
+    force_at = push(1.0)
     samples = [handle(8e-6 * k, 8e-3) for k in range(1000)]
-    _, speeds_m_s, forces_N, _ = track(tele, samples, push, needle)
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, force_at, needle)
 
     assert speeds_m_s[-1] == pytest.approx(3.2e-3, rel=0.02)
     assert forces_N[-1] == pytest.approx(-1.0, abs=0.02)
 
-    _, speeds_m_s, forces_N, _ = track(tele, [None] * 200, push, needle)
+    _, speeds_m_s, forces_N, *_ = track(tele, [None] * 200, force_at, needle)
 
     assert speeds_m_s[-1] == pytest.approx(0.0, abs=1e-4)
     assert forces_N[-1] == 0.0
 
     samples = [handle(8e-3, 8e-3)] * 1000
-    lost_N = track(tele, samples, push, needle, status=Status.REJECTED)[2]
+    lost_N = track(tele, samples, force_at, needle, status=Status.REJECTED)[2]
 
     # the damping of a handle that is said to move is left
     assert abs(lost_N[-1]) < 0.2
@@ -364,7 +366,7 @@ def test_without_time_passing_the_needle_stands(dt_s):
     """With a time step that does not advance the needle stands, the force stays."""
     tele = teleoperate()
     samples = [handle(5e-5 * k, 0.05) for k in range(50)]
-    _, speeds_m_s, forces_N, _ = track(tele, samples, lambda depth_m: 2.0)
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, push(2.0))
     command = answer(tele, handle(2.5e-3, 0.05), estimate(2.0), dt_s)
 
     assert speeds_m_s[-1] > 0.0
