@@ -163,11 +163,14 @@ def test_a_wall_never_pulls(beyond_m, speed_m_s):
     motion = PointMotion(
         (0, 0, 0.48 - beyond_m), (0, 0, -1), (0, 0, -speed_m_s), (0, 0, 0)
     )
-    expected_N = 20e3 * beyond_m + 50.0 * speed_m_s if beyond_m > 0.0 else 0.0
+    push = wall.force(0.0, motion)[0][2]
 
-    assert wall.force(0.0, motion)[0][2] == pytest.approx(
-        max(expected_N, 0.0), abs=1e-6 if abs(beyond_m) > 1e-9 else 100.0
-    )
+    assert push >= 0.0
+
+    if beyond_m > 1e-9:
+        assert push == pytest.approx(
+            max(20e3 * beyond_m + 50.0 * speed_m_s, 0.0), abs=1e-6
+        )
 
 
 def test_a_hand_leads_along_its_path():
