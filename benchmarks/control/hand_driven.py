@@ -29,47 +29,17 @@ from needleforce.control import (
 from needleforce.control.teleoperation import Shown
 from residual import DEFAULT, SensorConfig
 
-TICK_S = 1e-3
-"""Period of the simulated arm [s]."""
-
 TARE_STROKE_M = 60e-3
 """Free stroke over which the arm tares [m]."""
 
-TARE_SPEED_M_S = 20e-3
-"""Largest speed of that stroke [m/s]."""
-
-TARE_RAMP_S = 0.3
-"""Time in which the speed rises to it [s]."""
-
-TARE_SLOWING_PER_S = 8.0
-"""Speed over remaining way at the end of the stroke [1/s]."""
-
-TARE_TOLERANCE_M = 2e-4
-"""The stroke has ended when no more than this remains [m]."""
-
-TARE_REST_S = 0.4
-"""Rest between the stroke and the tare [s]."""
-
-GAP_M = 5e-3
-"""Distance to the tissue at the end of the stroke [m]."""
-
-STANDOFF_M = TARE_STROKE_M + GAP_M
-"""Distance to the tissue at the start [m]."""
+STANDOFF_M = TARE_STROKE_M + 5e-3
+"""Distance to the tissue at the start [m]; less the stroke, at its end."""
 
 HAND_STROKE_M = 0.15
 """Reach of a haptic device [m]."""
 
 BACK_S = 1.0
 """Time in which the hand goes back between two strokes, clutch open [s]."""
-
-BACK_MOTION = 0.8
-"""Fraction of that time in which it moves."""
-
-MAX_JITTER_S = 5e-3
-"""Jitter of the delay of the lines between hand and arm, if the delay is longer [s]."""
-
-SETTLE_S = 1.5
-"""Time after the last stroke until the end [s]."""
 
 
 class HandWish(NamedTuple):
@@ -118,7 +88,8 @@ class HandPlan(NamedTuple):
         if within_s <= forward_s or stroke == self.strokes - 1:
             position_m = stroke_m * min(within_s / forward_s, 1.0)
             return HandWish(position_m, pedal_down=True)
-        back = min((within_s - forward_s) / (BACK_MOTION * BACK_S), 1.0)
+        # It moves for 0.8 of that time.
+        back = min((within_s - forward_s) / (0.8 * BACK_S), 1.0)
         position_m = stroke_m * (0.5 + 0.5 * np.cos(np.pi * back))
         return HandWish(position_m, pedal_down=False)
 
@@ -174,13 +145,16 @@ class _TareStroke:
         self._rest_s = 0.0
 
     def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float:
-        """Return the speed along the needle [m/s]; tare after a rest at the end."""
+        """Return the speed along the needle [m/s]; tare after a rest at the end.
+
+        It rises to 20 mm/s in 0.3 s, and is 8 / s of the remaining way at the end,
+        which is reached at 0.2 mm.
+        """
         remaining_m = TARE_STROKE_M - estimate.depth_m
-        if remaining_m > TARE_TOLERANCE_M:
-            rising = TARE_SPEED_M_S * min(t_s / TARE_RAMP_S, 1.0)
-            return float(min(rising, TARE_SLOWING_PER_S * remaining_m))
-        self._rest_s += TICK_S
-        if self._rest_s >= TARE_REST_S:
+        if remaining_m > 2e-4:
+            return float(min(20e-3 * min(t_s / 0.3, 1.0), 8.0 * remaining_m))
+        self._rest_s += 1e-3  # a tick of the simulated arm
+        if self._rest_s >= 0.4:
             self._session.tare()
         return 0.0
 
@@ -240,7 +214,8 @@ class _HandLoop:
     def _follow_hand(self, estimate: SessionEstimate, dt_s: float) -> float:
         """Return the speed that the hand asks for [m/s], and let it feel the force."""
         master = self._master
-        end_s = self._arm.time_s + self._hand.duration_s + SETTLE_S
+        # 1.5 s after the last stroke.
+        end_s = self._arm.time_s + self._hand.duration_s + 1.5
         self._end_s = min(self._end_s, end_s)
         master.clutch = self._hand.at(master.time_s).pedal_down
         position_m = master.position_m[2]
@@ -276,7 +251,7 @@ def teleoperate(
         sensor: Settings of the virtual sensor.
     """
     rng = np.random.default_rng(seed)
-    jitter_s = min(MAX_JITTER_S, delay_s)
+    jitter_s = min(5e-3, delay_s)
     to_arm = DelayLine(delay_s, jitter_s, rng)
     to_hand = DelayLine(delay_s, jitter_s, rng)
     teleoperation = Teleoperation(
@@ -313,18 +288,6 @@ class RuptureFelt(NamedTuple):
 BEFORE_TICKS = 100
 """Ticks before a rupture over which forces are averaged."""
 
-AFTER_TICKS = 250
-"""Ticks after a rupture in which the least force is sought."""
-
-MEAN_TICKS = 20
-"""Ticks over which that force is averaged."""
-
-MIN_FORCE_N = 0.05
-"""A smaller force before a rupture counts as this, so that a drop is finite [N]."""
-
-MAX_ALARM_DELAY_S = 0.6
-"""An alarm later than this after the rupture is not of it [s]."""
-
 
 def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
     """Return how each rupture inside the tissue was shown to the hand."""
@@ -337,7 +300,7 @@ def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
         start = int(np.searchsorted(t_s, rupture.onset_s))
         if rupture.layer == 0 or not BEFORE_TICKS < start < len(t_s) - 1:
             continue
-        end = int(np.searchsorted(t_s, rupture.end_s)) + AFTER_TICKS
+        end = int(np.searchsorted(t_s, rupture.end_s)) + 250
         before = slice(start - BEFORE_TICKS, start)
         after = slice(start, end)
         felt.append(
@@ -353,14 +316,15 @@ def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
 
 def _drop(before_N: Array, after_N: Array) -> float:
     """Return the fall of a force over its mean before a rupture."""
-    window = np.full(MEAN_TICKS, 1.0 / MEAN_TICKS)
-    least_N = np.convolve(after_N, window, "valid").min()
-    return float(1.0 - max(least_N, 0.0) / max(before_N.mean(), MIN_FORCE_N))
+    # The least mean of 20 ticks; a force below 0.05 N would make the fall infinite.
+    least_N = np.convolve(after_N, np.full(20, 1.0 / 20), "valid").min()
+    return float(1.0 - max(least_N, 0.0) / max(before_N.mean(), 0.05))
 
 
 def _alarm_delay_s(alarms_s: Array, onset_s: float) -> float:
     """Return the time from a rupture to its alarm [s]; nan without one."""
-    is_of_rupture = (alarms_s >= onset_s) & (alarms_s < onset_s + MAX_ALARM_DELAY_S)
+    # A later one is not of the rupture.
+    is_of_rupture = (alarms_s >= onset_s) & (alarms_s < onset_s + 0.6)
     if not is_of_rupture.any():
         return float("nan")
     return float(alarms_s[is_of_rupture][0] - onset_s)

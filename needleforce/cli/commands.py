@@ -300,9 +300,6 @@ def live_command(
     tare_stroke: Annotated[
         float | None, Parameter(metavar="MM", group=TARE, validator=between(0.1, 1e3))
     ] = None,
-    tare_swivel: Annotated[
-        float, Parameter(metavar="DEGREES", group=TARE, validator=between(0.0, 359.0))
-    ] = 0.0,
     yes: Annotated[bool, Parameter(group=TARE)] = False,
 ) -> int:
     """Watch an arm until Ctrl-C: forces, depth, ruptures, warnings.
@@ -327,8 +324,6 @@ def live_command(
             is refused, again after as many.
         tare_stroke: Move the arm and tare from that, before anything else: it draws the
             needle back by so many mm and returns. It asks first.
-        tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 0; 8 is slow enough).
         yes: Move the arm without asking.
     """
     limit_library_threads()
@@ -343,7 +338,7 @@ def live_command(
         reference_axis=reference_axis,
         port=port if view else None,
         tare_s=tare,
-        motion=arm_watch.parse_stroke(tare_stroke, tare_swivel),
+        stroke_m=None if tare_stroke is None else 1e-3 * tare_stroke,
         is_confirmed=yes,
     )
 

@@ -7,8 +7,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `priority_solver`,
 `controller` (one tick), `state_machine`, `handle_watch`, `monitors`, `manager`, `run`,
-`lag` (delay and gain), `tare_stroke`, `rupture_counter`, `insertion_profile`,
-`guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
+`lag` (delay and gain), `tare_stroke`, `insertion_profile`, `guidance`, `passivity`,
+`teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller
@@ -30,10 +30,7 @@ from needleforce.control.manager import Manager as Manager, Situation as Situati
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
 from needleforce.control.run import Tick as Tick, run as run
 from needleforce.control.state_machine import State as State
-from needleforce.control.tare_stroke import (
-    TareMotion as TareMotion,
-    tare_with_stroke as tare_with_stroke,
-)
+from needleforce.control.tare_stroke import tare_with_stroke as tare_with_stroke
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     Fixture as Fixture,

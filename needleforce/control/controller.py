@@ -15,7 +15,7 @@ import numpy as np
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from foundation.jit import compile_waiting
-from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.joint_limits import Limits, SLACK_rad_s
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Stack, hierarchical
@@ -23,18 +23,8 @@ from needleforce.control.tasks import JointTask, MAX_STEP_s, Task, ToolState
 from needleforce.devices.rate_limiter import write_velocity_bounds
 from urdf import Robot
 
-FIRST_STEP_s = 1e-3
-"""Time step that a first, invalid sample is braked with: the usual cycle."""
-
 MAX_DELAY_s = 0.3
 """No loop of control lives with longer delays."""
-
-FILTER_s = 8e-3
-"""Time constant of the positions under a limit of the jerk: 20 Hz."""
-
-MAX_SURPRISE_rad = 0.01
-"""An arm that is further from where its commands have led it has been moved: its
-positions are used as they are."""
 
 
 class Command(NamedTuple):
@@ -81,15 +71,9 @@ class DelayPrediction:
                 f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
             )
         self._delay_s = float(delay_s)
-        self._joints = joints
         self._commands = deque[tuple[float, Array]]()  # a time, and the velocity in it
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was commanded, for an arm that has not followed it."""
-        self._commands.clear()
         self._commands_s = 0.0
-        self.motion_ahead_rad = np.zeros(self._joints)
+        self.motion_ahead_rad = np.zeros(joints)
 
     def note_command(self, dq_rad_s: Array, dt_s: float) -> None:
         """Remember a velocity, shape (n,), that was commanded for a time until now.
@@ -142,18 +126,19 @@ class Controller:
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
             raise SettingError(
                 f"limits of {joints} joints, the robot has {robot.nv}",
-                RIGHT_LIMITS,
             )
         self.tool = ToolState(robot)
         self._limit_rows = np.array((*limits.joints, limits.joints.acceleration_rad_s2))
         self._cycle_s = limits.cycle_s
         self._tip_m_s = limits.tip_m_s
         self._joints = joints
-        self._prediction = DelayPrediction(joints, delay_s or 0.0)
+        self._delay_s = delay_s or 0.0
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
         self._stack = Stack((), robot.nv)
-        self._step_s = FIRST_STEP_s
+        # Time over which a change of the command counts: where the jerk is limited the
+        # arm's cycle, however many samples were lost since the last command.
+        self._change_s = 1e-3 if limits.cycle_s is None else limits.cycle_s
         self.reset()
 
     def reset(self) -> None:
@@ -165,7 +150,8 @@ class Controller:
         self.last_rad_s = np.zeros(self._joints)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
-        self._prediction.reset()
+        # An arm that has not followed its commands is not where they lead.
+        self._prediction = DelayPrediction(self._joints, self._delay_s)
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; always answer, whatever the sample.
@@ -187,48 +173,44 @@ class Controller:
                 "this arm is real and the controller's limits have none of the jerk: "
                 "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
                 "jerk_rad_s3=...)",
-                RIGHT_LIMITS,
             )
         try:
-            q_rad, dt_s = _read_numbers(sample)
+            q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
+            dt_s = float(sample.dt_s)
+        except (TypeError, ValueError, OverflowError) as error:
+            return self._brake(f"q_rad, dt_s: {error}")
+        try:
             self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
-            self._step_s = min(dt_s, MAX_STEP_s)
+            if self._cycle_s is None:
+                self._change_s = min(dt_s, MAX_STEP_s)
             predicted_rad = q_rad + self._prediction.motion_ahead_rad
             self.tool.update(self._filter_positions(predicted_rad, dt_s))
             self._select_stack(stack)
-            numbers = self._stack
-            numbers.fill(stack, self.tool)
-            self._write_bounds(predicted_rad, numbers.bounds)
+            self._stack.fill(stack, self.tool)
+            self._write_bounds(predicted_rad, self._stack.bounds)
             if not stack:
-                return self._command(np.clip(0.0, *numbers.bounds))
-            velocity_rad_s, is_limited = hierarchical(numbers)
-            velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
+                return self._command(np.clip(0.0, *self._stack.bounds))
+            velocity_rad_s, is_limited = hierarchical(self._stack)
+            velocity_rad_s = self._slow_tip(velocity_rad_s, self._stack.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
         except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
         return self._command(
-            velocity_rad_s, is_limited=is_limited, is_damped=numbers.is_damped
+            velocity_rad_s, is_limited=is_limited, is_damped=self._stack.is_damped
         )
-
-    @property
-    def _change_time_s(self) -> float:
-        """Time over which a change of the command counts.
-
-        Where the jerk is limited it is the arm's cycle, however many samples were lost
-        since the last command.
-        """
-        return self._step_s if self._cycle_s is None else self._cycle_s
 
     def _filter_positions(self, q_rad: Array, dt_s: float) -> Array:
         """Return positions, low-passed about the commanded motion if jerk is limited.
 
             q_f <- q_f + T dq_last + (q - q_f - T dq_last) T / (T + tau)
 
-        which lags behind a motion that was not commanded only.
+        which lags behind a motion that was not commanded only, by 8 ms (20 Hz). An arm
+        that is further than 0.01 rad from where its commands have led it has been
+        moved: its positions are used as they are.
         """
         if self._cycle_s is None:
             return q_rad
@@ -236,8 +218,8 @@ class Controller:
         if self._position_rad is not None and dt_s <= MAX_STEP_s:
             led_rad = self._position_rad + dt_s * self.last_rad_s
         surprise_rad = q_rad - led_rad
-        self._position_rad = led_rad + surprise_rad * dt_s / (FILTER_s + dt_s)
-        if np.abs(surprise_rad).max() > MAX_SURPRISE_rad:
+        self._position_rad = led_rad + surprise_rad * dt_s / (8e-3 + dt_s)
+        if np.abs(surprise_rad).max() > 0.01:
             self._position_rad = q_rad.copy()
         return self._position_rad
 
@@ -248,7 +230,7 @@ class Controller:
             q_rad,
             self.last_rad_s,
             self._acceleration_rad_s2,
-            self._change_time_s,
+            self._change_s,
             SLACK_rad_s,
             bounds,
         )
@@ -297,22 +279,6 @@ class Controller:
         """Remember a velocity as the last one, and return it as a command."""
         velocity_rad_s.setflags(write=False)
         change_rad_s = velocity_rad_s - self.last_rad_s
-        self._acceleration_rad_s2 = change_rad_s / self._change_time_s
+        self._acceleration_rad_s2 = change_rad_s / self._change_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, reason, is_limited, is_damped)
-
-
-def _read_numbers(sample: ArmSample) -> tuple[Array, float]:
-    """Return positions and time step of a sample.
-
-    Raises:
-        SettingError: They are no numbers.
-    """
-    position = sample.q_rad
-    step = sample.dt_s
-    try:
-        return np.ascontiguousarray(position, np.float64), float(step)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise SettingError(
-            f"q_rad = {position!r:.80}, dt_s = {step!r:.80}: expected numbers"
-        ) from error

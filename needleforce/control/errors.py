@@ -13,10 +13,6 @@ from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from residual.checks.input import as_float
 
-RIGHT_LIMITS = (
-    "Give `JointLimits` one number for each joint, the lower below the upper."
-)
-
 
 class ControlError(NeedleforceError):
     """Base of the errors of this package; those of the estimators pass through."""

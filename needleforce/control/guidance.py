@@ -34,89 +34,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError, require_positive
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
-LAG_s = 0.015
-"""T: shorter lets the noise of the torques through, longer makes the arm feel soft."""
-
-SMOOTHING_s = 5e-3
-"""T_u: the residual holds a part of the arm's own acceleration, a cycle late. Without
-this lag the acceleration follows it so fast that both swing at 250 Hz."""
-
-DEAD_ZONE_FRACTION = 1.6e-3
-"""f. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on
-FRI."""
-
-DEAD_ZONE_SIGMAS = 4.0
-"""s: noise alone passes it once in 16,000 samples of a joint."""
-
-FELT_ZONE = 0.15
-"""z while a hand is felt: the whole dead zone would take 3 N at the hub of a moving
-arm."""
-
-ZONE_OPENS_s = 0.05
-"""Time constant with which z falls: a hand that begins to push is not held up."""
-
-ZONE_CLOSES_s = 0.5
-"""Time constant with which z returns: a hand that turns round does not meet it
-again."""
-
-INERTIA_s = 0.8
-"""tau: an arm of mass M gives way as if D stopped it in so long. With `LIMIT_FRACTION`
-the formula gives an LWR what was found for it by trial, to a factor of 2."""
-
-LIMIT_FRACTION = 0.012
-"""e: a joint at its highest speed takes this fraction of its torque limit. It damps
-wrists, whose mass is next to nothing."""
-
-POSTURES = 500
-"""Over so many, drawn within the range of the joints, a turn at most, the mass matrix
-is averaged."""
-
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
-
-MEAN_s = 0.12
-"""Time constant of the means m and p: a hand that leads keeps its direction longer."""
-
-STEADY_RATIO = 0.9
-"""q_0. A hand that begins to lead stays above it, if not by much."""
-
-DAMPING_RISE_per_s = 30.0
-"""a: the damping grows by e in 33 ms where the motion only swings, before it is
-large."""
-
-DAMPING_DECAY_per_s = 4.0
-"""b: the damping decays in 0.25 s, once the hand leads."""
-
-FIRST_DAMPING_FACTOR = 3.0
-"""c when a hand is first felt: with 1 a hand of 5000 N/m swings an arm by 30 mm where
-torques come late."""
-
-MAX_DAMPING_FACTOR = 50.0
-"""c_max: with 20 the arm runs away from a hand of 5000 N/m where torques come late."""
-
-HOLD_s = 0.02
-"""The last residual stands in for rejected ones for so long, and decays after that: a
-hand that lets go looks like a spike, and an arm that stopped at once for it would make
-the next one."""
-
-SIGMA_GROWTH_s = 20.0
-"""Time over which sigma may grow by e: torques drift slowly since the tare, hands
-come at once."""
-
-REST_rad_s = 1e-6
-"""A slower motion that no torque drives counts as rest."""
-
-MAX_GUIDED_STEP_s = 0.1
-"""The most time that a step stands for: a longer one is a pause."""
-
-MIN_POWER_W = 1e-12
-"""Keeps q finite where nothing moves."""
 
 
 def find_damping_of_arm(robot: Robot) -> Array:
@@ -132,15 +57,17 @@ def find_damping_of_arm(robot: Robot) -> Array:
             f"damping_Nms_per_rad: a positive number for each of {robot.nv} joints"
         )
     torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+    # Of so many, within the range of the joints, a turn at most, the mean is taken.
     postures_rad = np.random.default_rng(0).uniform(
         np.maximum(robot.position_lower_rad, -np.pi),
         np.minimum(robot.position_upper_rad, np.pi),
-        (POSTURES, robot.nv),
+        (500, robot.nv),
     )
     data = robot.create_data()
     inertias = [np.diag(pin.crba(robot.model, data, q)).copy() for q in postures_rad]
-    by_limits_Nms = LIMIT_FRACTION * torque_limit_Nm / speed_rad_s
-    return np.mean(inertias, axis=0) / INERTIA_s + by_limits_Nms
+    # tau and e of the module, which give an LWR what was found for it by trial, to a
+    # factor of 2; e damps wrists, whose mass is next to nothing.
+    return np.mean(inertias, axis=0) / 0.8 + 0.012 * torque_limit_Nm / speed_rad_s
 
 
 class Guidance:
@@ -173,17 +100,12 @@ class Guidance:
             damping = LWR_DAMPING_Nms
         elif damping is None:
             damping = find_damping_of_arm(robot)
-        self._damping_Nms = scale * np.array(damping, dtype=np.float64)
-        is_positive = bool(
-            np.isfinite(self._damping_Nms).all() and (self._damping_Nms > 0.0).all()
-        )
-        if self._damping_Nms.shape != (robot.nv,) or not is_positive:
-            raise SettingError(
-                f"damping is {damping!r}, expected a positive number for each of "
-                f"{robot.nv} joints"
-            )
+        self._damping_Nms = scale * as_vector(damping, robot.nv, "damping_Nms_per_rad")
+        require_positive({"damping_Nms_per_rad": self._damping_Nms.min()})
         torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
-        self._min_zone_Nm = DEAD_ZONE_FRACTION * torque_limit_Nm
+        # Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on
+        # FRI.
+        self._min_zone_Nm = 1.6e-3 * torque_limit_Nm
         self.reset()
 
     def reset(self) -> None:
@@ -191,7 +113,7 @@ class Guidance:
         self._velocity_rad_s = np.zeros_like(self._damping_Nms)  # w
         self._driven_rad_s = np.zeros_like(self._damping_Nms)  # u
         self._beyond_Nm = np.zeros_like(self._damping_Nms)  # dz(r)
-        self._factor = FIRST_DAMPING_FACTOR  # c
+        self._factor = 0.0  # c
         self._forget_swings()
         self._zone = 1.0  # z
         self._sigma_Nm = np.full(self._damping_Nms.shape, np.inf)
@@ -212,71 +134,90 @@ class Guidance:
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
         if not 0.0 < as_float(dt_s) < math.inf:
-            return self._task()
-        dt_s = min(dt_s, MAX_GUIDED_STEP_s)
+            return JointVelocity(self._velocity_rad_s / self._factor)
+        dt_s = min(dt_s, 0.1)  # a longer step is a pause
         if is_valid:
             # A hand is no contact at the tip: the sensor takes it for an error of its
-            # own and widens sigma as the residual grows. So it may grow slowly only.
-            grown_Nm = math.exp(dt_s / SIGMA_GROWTH_s) * self._sigma_Nm
+            # own and widens sigma as the residual grows. So it may grow slowly only, as
+            # torques drift: over 20 s.
+            grown_Nm = math.exp(dt_s / 20.0) * self._sigma_Nm
             self._sigma_Nm = np.fmin(grown_Nm, sigma_Nm)
         zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
-        decay = math.exp(-dt_s / LAG_s)
-        smoothing = math.exp(-dt_s / SMOOTHING_s)
+        # T: shorter lets the noise of the torques through, longer makes the arm feel
+        # soft. T_u: the residual holds a part of the arm's own acceleration, a cycle
+        # late; without this lag the acceleration follows it so fast that both swing at
+        # 250 Hz.
+        decay = math.exp(-dt_s / 0.015)
+        smoothing = math.exp(-dt_s / 5e-3)
         beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
         self._rejected_s += dt_s
         if is_valid and np.abs(beyond_Nm).max() < MAX_PLAUSIBLE:
             self._beyond_Nm = beyond_Nm
             self._rejected_s = 0.0
-        elif self._rejected_s > HOLD_s:
+        # A hand that lets go looks like a spike, and an arm that stopped at once for it
+        # would make the next one.
+        elif self._rejected_s > 0.02:
             self._beyond_Nm = self._beyond_Nm * decay
         wanted_rad_s = self._beyond_Nm / self._damping_Nms
         driven_rad_s = wanted_rad_s + smoothing * (self._driven_rad_s - wanted_rad_s)
         velocity_rad_s = driven_rad_s + decay * (self._velocity_rad_s - driven_rad_s)
-        if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < REST_rad_s:
-            velocity_rad_s = np.zeros_like(velocity_rad_s)
+        if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < 1e-6:
+            velocity_rad_s = np.zeros_like(velocity_rad_s)  # that is rest
             driven_rad_s = velocity_rad_s
         self._driven_rad_s = driven_rad_s
         self._velocity_rad_s = velocity_rad_s
         self._damp_swings(velocity_rad_s, dt_s)
-        return self._task()
+        return JointVelocity(velocity_rad_s / self._factor)
 
     def _update_dead_zone(self, residual_Nm: Array, dt_s: float) -> Array:
-        """Open the dead zone where a hand is felt, else close it; return z h, (n,)."""
-        zone_Nm = self._min_zone_Nm + DEAD_ZONE_SIGMAS * self._sigma_Nm
+        """Open the dead zone where a hand is felt, else close it; return z h, (n,).
+
+        Noise alone passes four sigma once in 16,000 samples of a joint. While a hand is
+        felt z is 0.15: the whole dead zone would take 3 N at the hub of a moving arm.
+        It opens in 0.05 s, which holds no hand up, and closes in 0.5 s, so that a hand
+        that turns round does not meet it again.
+        """
+        zone_Nm = self._min_zone_Nm + 4.0 * self._sigma_Nm
         # A number that is not finite is no hand: it compares as not larger.
         is_felt = bool((np.abs(residual_Nm) > zone_Nm).any())
-        goal = FELT_ZONE if is_felt else 1.0
-        time_s = ZONE_OPENS_s if is_felt else ZONE_CLOSES_s
+        goal = 0.15 if is_felt else 1.0
+        time_s = 0.05 if is_felt else 0.5
         self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
         return zone_Nm * self._zone
 
     def _damp_swings(self, velocity_rad_s: Array, dt_s: float) -> None:
-        """Adapt the factor c to a velocity w of the joints, shape (n,)."""
+        """Adapt the factor c to a velocity w of the joints, shape (n,).
+
+        A hand that leads keeps its direction longer than the means' 0.12 s; one that
+        begins to lead stays above q_0 = 0.9, if not by much. The damping grows by e in
+        33 ms where the motion only swings, before it is large, and decays in 0.25 s.
+        With c_max = 20, not 50, the arm runs away from a hand of 5000 N/m where torques
+        come late.
+        """
         damping_Nms = self._damping_Nms
         if not velocity_rad_s.any():  # the next motion is another one
-            self._factor = max(self._factor, FIRST_DAMPING_FACTOR)
             self._forget_swings()
             return
-        decay = math.exp(-dt_s / MEAN_s)
+        decay = math.exp(-dt_s / 0.12)
         power_W = float(velocity_rad_s**2 @ damping_Nms)
         self._weight = decay * self._weight + 1.0 - decay
         self._mean_rad_s = decay * self._mean_rad_s + (1.0 - decay) * velocity_rad_s
         self._mean_power_W = decay * self._mean_power_W + (1.0 - decay) * power_W
         steady_ratio = float(self._mean_rad_s**2 @ damping_Nms) / max(
-            self._mean_power_W * self._weight, MIN_POWER_W
+            self._mean_power_W * self._weight,
+            1e-12,  # finite where nothing moves
         )
-        rate_per_s = DAMPING_RISE_per_s * max(
-            1.0 - steady_ratio / STEADY_RATIO, 0.0
-        ) - DAMPING_DECAY_per_s * math.log(self._factor)
-        grown = max(self._factor * math.exp(dt_s * rate_per_s), 1.0)
-        self._factor = min(grown, MAX_DAMPING_FACTOR)
+        rise_per_s = 30.0 * max(1.0 - steady_ratio / 0.9, 0.0)
+        rate_per_s = rise_per_s - 4.0 * math.log(self._factor)
+        self._factor = min(max(self._factor * math.exp(dt_s * rate_per_s), 1.0), 50.0)
 
     def _forget_swings(self) -> None:
-        """Begin the means anew."""
+        """Begin the means anew, with the damping of a hand that is first felt.
+
+        With c = 1, not 3, a hand of 5000 N/m swings an arm by 30 mm where torques come
+        late.
+        """
+        self._factor = max(self._factor, 3.0)
         self._mean_rad_s = np.zeros_like(self._damping_Nms)  # m
         self._mean_power_W = 0.0  # p
         self._weight = 0.0  # of the samples in the means: 1 once they are full
-
-    def _task(self) -> JointVelocity:
-        """Return v = w / c as a task."""
-        return JointVelocity(self._velocity_rad_s / self._factor)

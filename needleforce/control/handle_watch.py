@@ -19,34 +19,6 @@ from foundation.arrays import Array
 from needleforce.control.ports import MasterSample
 from residual.checks.input import as_float
 
-MAX_HANDLE = 100.0
-"""No handle is further away [m], or quicker [m/s]."""
-
-MAX_SILENT_s = 0.03
-"""A device that has sent nothing usable for so long is gone: with 20 ms to the next
-cycle of the manager and the arm's own, it is noticed within 50 ms."""
-
-FROZEN_s = 0.03
-"""A device that has repeated one sample for so long is frozen: encoders of 10 um show
-the tremor of a hand at rest within it."""
-
-MAX_JUMP_m = 5e-3
-"""No hand moves a handle further between two samples of a device at 200 Hz or more."""
-
-VELOCITY_MEMORY_s = 0.02
-"""Time constant of the means that compare velocity and positions: encoder steps of
-10 um at 1 kHz leave 1 mm/s in them."""
-
-VELOCITY_TOLERANCE_m_s = 0.01
-"""The two means may differ so much, for encoder steps and the device's own filter."""
-
-VELOCITY_TOLERANCE_RATIO = 0.5
-"""And by this fraction of the speed: cycles of device and loop drift through each
-other, so that a sample comes twice or not at all."""
-
-CONTRADICTED_s = 0.04
-"""A velocity contradicted for so long is wrong, not late."""
-
 
 class HandleReading(NamedTuple):
     """A usable sample of the handle, in the device's axes.
@@ -86,12 +58,12 @@ def _parse(sample: MasterSample | None) -> HandleReading | None:
     handle: Any = sample  # whatever a driver gives
     try:
         vectors = np.array((handle.position_m, handle.velocity_m_s), np.float64)
-        is_coupled = bool(handle.clutch)
+        reading = HandleReading(*vectors, is_coupled=bool(handle.clutch))
     except (AttributeError, TypeError, ValueError):
         return None
-    if vectors.shape != (2, 3) or not (np.abs(vectors) < MAX_HANDLE).all():
-        return None
-    return HandleReading(vectors[0], vectors[1], is_coupled)
+    # No handle is further away [m], or quicker [m/s].
+    is_possible = vectors.shape == (2, 3) and (np.abs(vectors) < 100.0).all()
+    return reading if is_possible else None
 
 
 class HandleWatch:
@@ -104,11 +76,10 @@ class HandleWatch:
     def __init__(self) -> None:
         self._last: HandleReading | None = None
         self._last_t_s: object = None
-        self._since_s = 0.0  # time since the last reading
-        self._silent_s = math.inf  # time without a valid sample
+        self._since_s = math.inf  # time since the last usable sample
         self._repeated_s = 0.0  # time for which one sample has been repeated
         self._contradicted_s = 0.0  # time for which the velocity has been wrong
-        # Means over `VELOCITY_MEMORY_s`, which lag alike: by positions, as reported.
+        # Means over 20 ms, which lag alike: by positions, as reported.
         self._means_m_s = np.zeros((2, 3))
 
     def update(self, sample: MasterSample | None, dt_s: float) -> HandleReport:
@@ -125,25 +96,26 @@ class HandleWatch:
         if not 0.0 < dt_s < math.inf:
             return HandleReport(None)
         self._since_s += dt_s
+        since_s = self._since_s
         reading = _parse(sample)
         if reading is None:
-            self._silent_s += dt_s
             what = "is silent" if sample is None else "sends no finite numbers"
-            is_gone = self._silent_s >= MAX_SILENT_s
+            # With 20 ms to the next cycle of the manager and the arm's own, it is
+            # noticed within 50 ms.
+            is_gone = since_s >= 0.03
             return HandleReport(None, f"the haptic device {what}" if is_gone else "")
-        self._silent_s = 0.0
         last = self._last
         is_repeated = last is not None and self._is_repeated(sample, reading, last)
         self._last = reading
         self._last_t_s = getattr(sample, "t_s", None)
         self._repeated_s = self._repeated_s + dt_s if is_repeated else 0.0
-        if self._repeated_s >= FROZEN_s:
+        # Encoders of 10 um show the tremor of a hand at rest within it.
+        if self._repeated_s >= 0.03:
             return HandleReport(
                 None,
                 "the haptic device has repeated one sample: it is frozen, or nobody "
                 "holds it",
             )
-        since_s = self._since_s
         self._since_s = 0.0
         if last is None:
             self._means_m_s[:] = reading.velocity_m_s
@@ -155,10 +127,10 @@ class HandleWatch:
     ) -> bool:
         """Return whether a sample is the one before it."""
         t_s = getattr(sample, "t_s", None)
-        if t_s is not None and t_s == self._last_t_s:
-            return True
-        is_at_rest = t_s is not None and not reading.velocity_m_s.any()
-        return not is_at_rest and bool(
+        is_stamp_old = t_s == self._last_t_s
+        if t_s is not None and (is_stamp_old or not reading.velocity_m_s.any()):
+            return is_stamp_old
+        return bool(
             (reading.position_m == last.position_m).all()
             and (reading.velocity_m_s == last.velocity_m_s).all()
         )
@@ -170,7 +142,13 @@ class HandleWatch:
 
         Of two that contradict each other it is the slower one, in each direction, and
         none where they oppose each other. A device that reports zeros has no velocity
-        to report: that of its positions is used.
+        to report: that of its positions is used. A velocity that is contradicted for 40
+        ms is wrong, not late.
+
+        Encoder steps of 10 um at 1 kHz leave 1 mm/s in means over 20 ms. They may
+        differ by 10 mm/s, for these steps and the device's own filter, and by half the
+        speed: cycles of device and loop drift through each other, so that a sample
+        comes twice or not at all.
 
         Args:
             reading: The sample.
@@ -178,7 +156,8 @@ class HandleWatch:
             since_s: The time of that.
         """
         distance_m = math.sqrt(float(moved_m @ moved_m))
-        if distance_m > MAX_JUMP_m:
+        # No hand moves a handle further between two samples of 200 Hz or more.
+        if distance_m > 5e-3:
             self._means_m_s[:] = 0.0  # positions before say nothing about it
             return HandleReport(
                 reading._replace(velocity_m_s=np.zeros(3)),
@@ -187,19 +166,20 @@ class HandleWatch:
                 has_jumped=True,
             )
         velocities_m_s = np.array((moved_m / since_s, reading.velocity_m_s))
-        weight = since_s / (VELOCITY_MEMORY_s + since_s)
+        weight = since_s / (0.02 + since_s)
         self._means_m_s += weight * (velocities_m_s - self._means_m_s)
         by_positions_m_s, reported_m_s = self._means_m_s
         error_m_s = np.linalg.norm(reported_m_s - by_positions_m_s)
-        tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(by_positions_m_s)
-        if error_m_s <= VELOCITY_TOLERANCE_m_s + tolerated_m_s:
-            self._contradicted_s = 0.0
+        tolerated_m_s = 0.01 + 0.5 * np.linalg.norm(by_positions_m_s)
+        is_contradicted = bool(error_m_s > tolerated_m_s)
+        has_velocity = bool(reported_m_s.any())
+        wrong_s = self._contradicted_s + since_s
+        self._contradicted_s = wrong_s if is_contradicted and has_velocity else 0.0
+        if not is_contradicted:
             return HandleReport(reading)
-        if not reported_m_s.any():
-            self._contradicted_s = 0.0
+        if not has_velocity:
             return HandleReport(reading._replace(velocity_m_s=by_positions_m_s.copy()))
-        self._contradicted_s += since_s
-        is_wrong = self._contradicted_s >= CONTRADICTED_s
+        is_wrong = self._contradicted_s >= 0.04
         is_along = reading.velocity_m_s * by_positions_m_s > 0.0
         slower_m_s = np.minimum(np.abs(reading.velocity_m_s), np.abs(by_positions_m_s))
         return HandleReport(

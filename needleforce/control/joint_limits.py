@@ -6,17 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Vector
-from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import Robot
 
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by
 as much."""
-
-RATE_HEADROOM = 0.98
-"""Fraction of acceleration and jerk that is used where the jerk is limited:
-`SLACK_rad_s` is 0.1 rad/s3 at 1 kHz, arms round, and their clocks drift."""
 
 
 class JointLimits(NamedTuple):
@@ -77,29 +73,37 @@ class Limits:
         tip_m_s: float | None = None,
         cycle_s: float = 1e-3,
     ) -> None:
-        require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
         require_positive(
-            {"cycle_s": cycle_s, "tip_m_s": 1.0 if tip_m_s is None else tip_m_s}
+            {
+                "cycle_s": cycle_s,
+                "tip_m_s": 1.0 if tip_m_s is None else tip_m_s,
+                "margin_rad": margin_rad,
+            },
+            or_zero=("margin_rad",),
         )
         self.tip_m_s = tip_m_s
         self.cycle_s = None if jerk_rad_s3 is None else cycle_s
-        limits = _one_per_joint(
-            robot.nv,
+        given = (
             robot.position_lower_rad + margin_rad,
             robot.position_upper_rad - margin_rad,
             robot.velocity_limit_rad_s if velocity_rad_s is None else velocity_rad_s,
             acceleration_rad_s2,
             np.inf if jerk_rad_s3 is None else jerk_rad_s3,
         )
-        lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2, jerk_rad_s3 = limits
-        ends = np.array((lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2))
+        try:
+            rows = [np.broadcast_to(np.asarray(row, float), robot.nv) for row in given]
+        except (TypeError, ValueError):
+            raise SettingError(
+                f"limits must be one number or {robot.nv}, one per joint"
+            ) from None
+        limits = JointLimits(*np.array(rows))
         is_usable = (
-            np.isfinite(ends).all(axis=0)
-            & (lower_rad < upper_rad)
-            & (speed_rad_s > 0.0)
-            & (speed_rad_s <= robot.velocity_limit_rad_s)
-            & (acceleration_rad_s2 > 0.0)
-            & (jerk_rad_s3 > 0.0)
+            np.isfinite(limits[:4]).all(axis=0)
+            & (limits.position_lower_rad < limits.position_upper_rad)
+            & (limits.speed_rad_s > 0.0)
+            & (limits.speed_rad_s <= robot.velocity_limit_rad_s)
+            & (limits.acceleration_rad_s2 > 0.0)
+            & (limits.jerk_rad_s3 > 0.0)
         )
         if not is_usable.all():
             raise SettingError(
@@ -107,13 +111,13 @@ class Limits:
                 f"expected room beyond a margin of {margin_rad:g} rad from their ends, "
                 "positive limits of speed, acceleration and jerk, and speeds not above "
                 f"the robot's own, {robot.velocity_limit_rad_s.tolist()} rad/s",
-                RIGHT_LIMITS,
             )
         limits.speed_rad_s[:] -= SLACK_rad_s
         if self.cycle_s is not None:
-            limits.jerk_rad_s3[:] *= RATE_HEADROOM
+            # `SLACK_rad_s` is 0.1 rad/s3 at 1 kHz, arms round, and their clocks drift.
+            limits.jerk_rad_s3[:] *= 0.98
             limits.acceleration_rad_s2[:] = np.minimum(
-                RATE_HEADROOM * limits.acceleration_rad_s2, limits.jerk_rad_s3 * cycle_s
+                0.98 * limits.acceleration_rad_s2, limits.jerk_rad_s3 * cycle_s
             )
         for values in limits:
             values.setflags(write=False)
@@ -143,14 +147,12 @@ class Limits:
             raise SettingError(
                 f"no limits of an arm {name!r}, expected one of "
                 f"{', '.join(ARM_LIMITS)}",
-                RIGHT_LIMITS,
             )
         preset = ARM_LIMITS[name] if isinstance(name, str) else name
         joint_count = len(preset.speed_rad_s)
         if joint_count != robot.nv:
             raise SettingError(
                 f"limits of {joint_count} joints ({name}), the robot has {robot.nv}",
-                RIGHT_LIMITS,
             )
         return cls(
             robot,
@@ -162,18 +164,3 @@ class Limits:
             tip_m_s=tip_m_s,
             cycle_s=preset.cycle_s,
         )
-
-
-def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
-    """Return limits with one number per joint, from one number or one per joint."""
-    try:
-        rows = [
-            np.broadcast_to(np.asarray(limit, np.float64), joint_count)
-            for limit in limits
-        ]
-    except (TypeError, ValueError):
-        raise SettingError(
-            f"limits must be one number or {joint_count}, one per joint",
-            RIGHT_LIMITS,
-        ) from None
-    return JointLimits(*np.array(rows))

@@ -36,18 +36,6 @@ PHASE_MARGIN_deg = 55.0
 """phi: K times the delay is then 0.61. Errors decay without a swing up to 1 / e, and
 overshoot by a twentieth at most here."""
 
-MAX_SPEED_rad_s = 0.03
-"""Highest speed of a joint in the chirp."""
-
-MAX_TIP_m = 5e-3
-"""Highest sum of the tip's excursions from the single joints."""
-
-FIRST_Hz = 1.0
-"""Frequency at the start of the chirp."""
-
-LAST_Hz = 6.0
-"""Frequency at its end: that of loops with the usual gain."""
-
 REST_s = 0.3
 """Rest before the chirp, and after it: the longest delay."""
 
@@ -83,9 +71,9 @@ class SafeGain(NamedTuple):
 def find_safe_gain(delay: Delay) -> SafeGain:
     """Return the largest gain that a delay allows, see the module."""
     delay_s = max(delay.delay_s, 0.0) + 0.5 * delay.cycle_s
-    late_s = delay_s + 2.0 * delay.std_s
+    margin_rad = math.radians(PHASE_MARGIN_deg)
     return SafeGain(
-        safe_per_s=(0.5 * math.pi - math.radians(PHASE_MARGIN_deg)) / late_s,
+        safe_per_s=(0.5 * math.pi - margin_rad) / (delay_s + 2.0 * delay.std_s),
         unstable_per_s=0.5 * math.pi / delay_s,
     )
 
@@ -127,9 +115,13 @@ def find_delay(
             RIGHT_ARM,
         )
     speed_rad_s = np.sqrt(np.mean(np.gradient(commanded_rad, step_s) ** 2))
-    noise_s = left_rad.std() / (followed * speed_rad_s * math.sqrt(times_s.size))
-    cycle_s = float(np.median(np.diff(times_s)))
-    return Delay(lag * step_s, float(noise_s), followed, cycle_s)
+    samples = math.sqrt(times_s.size)
+    return Delay(
+        delay_s=lag * step_s,
+        std_s=float(left_rad.std() / (followed * speed_rad_s * samples)),
+        followed=followed,
+        cycle_s=float(np.median(np.diff(times_s))),
+    )
 
 
 def measure_lag(
@@ -153,38 +145,32 @@ def measure_lag(
     require_positive({"duration_s": duration_s})
     controller = Controller(robot, limits)
     chirp_s = np.arange(0.0, duration_s, 1e-3)
-    path = signal.chirp(chirp_s, FIRST_Hz, duration_s, LAST_Hz, phi=-90)
+    # To the frequencies of loops with the usual gain.
+    path = signal.chirp(chirp_s, f0=1.0, t1=duration_s, f1=6.0, phi=-90)
     rates_per_s = np.gradient(path * tukey(chirp_s.size, 0.4), chirp_s)
     moved_s = duration_s + 2.0 * REST_s
-    times_s: list[float] = []
-    positions_rad: list[Array] = []
-    commands_rad_s: list[Array] = []
+    rows = list[tuple[float, Array, Array]]()
     excursion_rad = 0.0
     for time_s, tick in move_guarded(arm, controller, moved_s):
         if time_s > moved_s and not controller.last_rad_s.any():
             break
-        if time_s == 0.0 or time_s > moved_s or tick.last is None:
-            continue
-        q_rad = np.array(tick.sample.q_rad, dtype=np.float64)
-        if times_s:
-            commands_rad_s.append(tick.last.dq_rad_s)
-        else:
-            excursion_rad = _find_excursion(controller, q_rad, rates_per_s)
-        times_s.append(time_s)
-        positions_rad.append(q_rad)
-        rate_per_s = float(np.interp(time_s - REST_s, chirp_s, rates_per_s, 0.0, 0.0))
-        tick.tasks = [JointVelocity(np.full(robot.nv, excursion_rad * rate_per_s))]
-    sent_rad_s = np.array(commands_rad_s).T
-    moved_rad = np.array(positions_rad).T
+        if 0.0 < time_s <= moved_s:
+            q_rad = np.array(tick.sample.q_rad, dtype=np.float64)
+            if not rows:
+                controller.tool.update(q_rad)
+                reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0)
+                # No joint exceeds 0.03 rad/s, nor the sum of the tip's excursions from
+                # the single joints 5 mm.
+                excursion_rad = min(
+                    0.03 / np.abs(rates_per_s).max(), 5e-3 / reach_m_per_rad.sum()
+                )
+            rows.append((time_s, q_rad, controller.last_rad_s))
+            rate_per_s = np.interp(time_s - REST_s, chirp_s, rates_per_s, 0.0, 0.0)
+            tick.tasks = [JointVelocity(np.full(robot.nv, excursion_rad * rate_per_s))]
+    times_s, positions_rad, sent_rad_s = map(np.array, zip(*rows, strict=True))
     return [
-        find_delay(np.array(times_s), *signals)
-        for signals in zip(sent_rad_s, moved_rad, robot.joint_names, strict=True)
+        find_delay(times_s, *signals)
+        for signals in zip(
+            sent_rad_s[1:].T, positions_rad.T, robot.joint_names, strict=True
+        )
     ]
-
-
-def _find_excursion(controller: Controller, q_rad: Array, rates_per_s: Array) -> float:
-    """Return how far joints go either way from a posture [rad]."""
-    controller.tool.update(q_rad)
-    reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0).sum()
-    by_speed_rad = MAX_SPEED_rad_s / np.abs(rates_per_s).max()
-    return float(min(by_speed_rad, MAX_TIP_m / max(reach_m_per_rad, 1e-9)))

@@ -5,8 +5,6 @@ It reads the arm's samples, runs the session and the monitors, applies the rules
 """
 
 import math
-import os
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,19 +21,9 @@ from residual.estimate import Status
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate
 
-ENTRY_MARGIN_m = 1e-3
-"""So far above the place of the first contact the needle counts as outside."""
-
-MAX_SAMPLE_STEP_s = 0.1
-"""A longer time step is a clock that was set, not time that passed here."""
-
 MAX_HEARTBEAT_GAP_s = 0.1
 """Longest time between two heartbeats; a program that hangs is noticed as soon."""
 
-FIRST_STEP_s = 1e-3
-"""Time step of a first sample that has none: the usual cycle."""
-
-_ENCODER = msgspec.json.Encoder(enc_hook=str)
 _WITH_DEPTH = MOVING - {State.GUIDANCE}
 """States whose motions depend on the depth."""
 
@@ -62,59 +50,6 @@ class LoggedEvent(
     target: str
     refused: str
     data: dict[str, Any]
-
-
-class EventLog:
-    """Events of a session, kept in memory and appended to a file.
-
-    Args:
-        path: The file, one JSON object per line; None: memory only.
-
-    Attributes:
-        events: Events so far.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-
-    def __init__(self, path: str | Path | None) -> None:
-        if path is not None:
-            Path(path).open("ab").close()
-        self.events: list[LoggedEvent] = []
-        self._path = path
-        self._written = 0
-
-    def append(self, event: LoggedEvent) -> str:
-        """Keep an event, and append it to the file, so that a crash loses none.
-
-        Returns:
-            Why it could not be written, so that a full disk stops no monitor; empty if
-            it was. It is written with the next event.
-
-        Raises:
-            SettingError: Its data cannot be written as JSON; it is not kept.
-        """
-        try:
-            _ENCODER.encode(event)
-        except (ValueError, RecursionError) as error:
-            raise SettingError(
-                f"data of {event.event} cannot be written as JSON: {error}"
-            ) from error
-        self.events.append(event)
-        if self._path is None:
-            return ""
-        size = None
-        try:
-            with Path(self._path).open("ab") as file:
-                size = file.tell()
-                file.write(_ENCODER.encode_lines(self.events[self._written :]))
-        except OSError as error:
-            if size is not None:
-                with suppress(OSError):  # half a line would spoil the next one
-                    os.truncate(self._path, size)
-            return f"the log cannot be written: {error}"
-        self._written = len(self.events)
-        return ""
 
 
 class Situation(NamedTuple):
@@ -158,8 +93,8 @@ class _TissueEntry:
 
     @property
     def is_outside(self) -> bool:
-        """Whether the needle is known to be outside tissue."""
-        return self._depth_m < self._entry_m - ENTRY_MARGIN_m
+        """Whether the needle is known to be outside tissue, by a millimetre."""
+        return self._depth_m < self._entry_m - 1e-3
 
     def forget(self) -> None:
         """Forget the entry: the needle is in free air."""
@@ -202,8 +137,8 @@ class Manager:
 
     Attributes:
         session: The same.
-        events: Events so far, refusals included. If one cannot be written,
-            `Situation.reason` says so, and it is written with the next event.
+        events: Events so far, refusals included. If one cannot be written to the file,
+            `Situation.reason` says so and the file ends: a full disk stops no monitor.
 
     Raises:
         SettingError: The session's needle is not the z axis of its tool frame.
@@ -225,16 +160,18 @@ class Manager:
                 f"{config.frame}; motions are along z of the robot's tool frame",
                 "Load the robot with a `tool_frame` whose z axis is the needle.",
             )
+        if log is not None:
+            Path(log).open("ab").close()
         self.session = session
+        self.events = list[LoggedEvent]()
         self._limits = limits
-        self._log = EventLog(log)
-        self.events = self._log.events
+        self._log = log
         self._monitors = Monitors(session, limits or SafetyLimits(axial_N=1.0))
         self._entry = _TissueEntry(session.zero)
         self._state = State.IDLE
         self._reason = ""
         self._time_s = 0.0
-        self._step_s = FIRST_STEP_s
+        self._step_s = 1e-3  # until a sample has one
         self._heartbeat_s = -MAX_HEARTBEAT_GAP_s
         self._state_start_s = 0.0
         self._tare = TareRun()
@@ -250,14 +187,13 @@ class Manager:
 
         It never raises for a bad sample.
         """
-        dt_s: Any = getattr(sample, "dt_s", None)
-        if 0.0 < as_float(dt_s) <= MAX_SAMPLE_STEP_s:
-            self._step_s = as_float(dt_s)
+        names = ("q_rad", "dq_rad_s", "tau_Nm", "dt_s")
+        signals: list[Any] = [getattr(sample, name, None) for name in names]
+        dt_s = as_float(signals[-1])
+        if 0.0 < dt_s <= 0.1:  # a longer one is a clock that was set
+            self._step_s = dt_s
         self._time_s += self._step_s
-        q: Any = getattr(sample, "q_rad", None)
-        dq: Any = getattr(sample, "dq_rad_s", None)
-        tau: Any = getattr(sample, "tau_Nm", None)
-        estimate = self.session.update(q, dq, tau, dt_s)
+        estimate = self.session.update(*signals)
         self._entry.update(estimate, self.session.zero)
         has_ended = self._tare.after(self.session, estimate)
         if has_ended and self._state is State.TARE and not self._check_tare():
@@ -274,8 +210,7 @@ class Manager:
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._has_heartbeat:
-            silence = f"no heartbeat for {MAX_HEARTBEAT_GAP_s:g} s"
-            self._apply("stop", {"reason": silence})
+            self._apply("stop", {"reason": f"no heartbeat for {MAX_HEARTBEAT_GAP_s} s"})
         return Situation(
             state=self._state,
             state_s=self._time_s - self._state_start_s,
@@ -318,39 +253,46 @@ class Manager:
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         """Apply the rules to an event and log it; return why it is refused."""
-        facts = self._facts()
+        facts = self._find_facts()
         origin = self._state
         target, refused = transition(origin, event, facts)
-        failure = self._log.append(
-            LoggedEvent(
-                seq=len(self.events),
-                t_s=self._time_s,
-                origin=origin,
-                event=event,
-                target=target,
-                refused=refused,
-                data={**data, "facts": facts},
-            )
+        logged = LoggedEvent(
+            seq=len(self.events),
+            t_s=self._time_s,
+            origin=origin,
+            event=event,
+            target=target,
+            refused=refused,
+            data={**data, "facts": facts},
         )
+        try:
+            line = msgspec.json.encode(logged, enc_hook=str)
+        except (ValueError, RecursionError) as error:
+            raise SettingError(
+                f"data of {event} cannot be written as JSON: {error}"
+            ) from error
+        self.events.append(logged)
         self._reason = refused or str(data.get("reason", "")) or self._reason
-        self._reason = "; ".join(filter(None, (self._reason, failure)))
+        try:
+            if self._log is not None:
+                with Path(self._log).open("ab") as file:
+                    file.write(line + b"\n")
+        except OSError as error:
+            self._reason += f"; the log cannot be written and ends here: {error}"
+            self._log = None  # a line cut short must stay the last
         if target is not origin:
-            self._enter(target)
+            if origin is State.IDLE:
+                self._state_zero = self.session.zero
+            self._state = target
+            self._state_start_s = self._time_s
+            self._monitors.enter(target)
         return refused
-
-    def _enter(self, state: State) -> None:
-        """Begin another state."""
-        if self._state is State.IDLE:
-            self._state_zero = self.session.zero
-        self._state = state
-        self._state_start_s = self._time_s
-        self._monitors.enter(state)
 
     @property
     def _has_heartbeat(self) -> bool:
         return self._time_s - self._heartbeat_s < MAX_HEARTBEAT_GAP_s
 
-    def _facts(self) -> list[str]:
+    def _find_facts(self) -> list[str]:
         """Return the names of the facts that hold, see `REFUSALS`."""
         facts = {
             "limit": self._limits is not None,

@@ -62,9 +62,7 @@ class SafetyLimits:
     stop_off_plan: bool = False
 
     def __post_init__(self) -> None:
-        limits = asdict(self)
-        limits.pop("stop_off_plan")
-        require_positive(limits)
+        require_positive(asdict(self) | {"stop_off_plan": 1.0})
 
 
 class Beside(NamedTuple):
@@ -91,56 +89,11 @@ class Beside(NamedTuple):
 NOTHING = Beside()
 """Nothing came beside a sample."""
 
-_FAULTS = SensorWarning.FROZEN | SensorWarning.VELOCITY
-"""Warnings of signals that are broken."""
-
-_FORCE_UNUSABLE = (
-    SensorWarning.JOINT_LIMIT
-    | SensorWarning.NEAR_SINGULAR
-    | SensorWarning.MODEL_MISMATCH
-    | SensorWarning.TARE_EXPIRED
-    | SensorWarning.TORQUE_JUMP
-)
-"""Warnings of a force that is not to be relied upon."""
-
-_IN_AIR = (State.GUIDANCE, State.APPROACH, State.TARE)
 _AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
 
 _ADVANCING = (State.TELEOP, State.INSERTION)
 """States that need a usable force; without it a needle can be held, and must come
 out."""
-
-_HOLDING = (*_ADVANCING, State.DWELL)
-"""States in which a force that pulls is a fault: a dwell may have begun by it."""
-
-_RATE_LAG_s = 0.01
-"""Time constant of the force's rate: shorter than the lag of the virtual sensor."""
-
-_CLEAR_s = 0.1
-"""A fault must be gone for so long before a reset."""
-
-_MIN_GAP_s = 5e-3
-"""A shorter step between samples is no gap: an arm keeps its motion over it."""
-
-_GAP_STEPS = 3.0
-"""A step of so many usual ones is a gap: an arm that nobody commanded has stopped and
-started in it."""
-
-_FADING_LAGS = 3.0
-"""What torques that nobody saw did to the force decays within so many of its lags."""
-
-
-_TRACKING_s = 1.0
-"""Memory of both motions: a joint that drifts shows within it."""
-
-_FOLLOWING_LAG_s = 0.03
-"""Time by which an arm may lag behind its commands."""
-
-_MAX_LAG_FRACTION = 0.5
-"""Fraction of the commanded path by which an arm may be behind it."""
-
-_MIN_PATH_rad = 2e-3
-"""Least motion that is compared: noise and backlash stay below."""
 
 
 class CommandTracking:
@@ -152,44 +105,43 @@ class CommandTracking:
 
     def __init__(self, max_rad: float) -> None:
         self._max_rad = max_rad
-        self.pause()
+        self.restart()
 
     def restart(self) -> None:
-        """Forget the motion so far."""
+        """Forget the motion so far: others may have led the arm."""
+        self._position_rad: Array | None = None
         self._path_rad = 0.0
         self._measured_rad = np.zeros(1)
         self._commanded_rad = np.zeros(1)
 
-    def pause(self) -> None:
-        """Stop comparing: the arm is not commanded and may go where others lead it."""
-        self._position_rad: Array | None = None
-        self.restart()
-
     def check(self, position_rad: Array, command_rad_s: Array, step_s: float) -> str:
         """Return what is wrong after one cycle; empty if the arm follows.
+
+        Both motions are remembered for a second: a joint that drifts shows within it.
+        The arm may lag behind its commands by 30 ms and by half of their path; less
+        than 2 mrad are noise and backlash.
 
         Args:
             position_rad: Where the joints are, shape (n,), in an array of its own.
             command_rad_s: Velocity commanded in this cycle, shape (n,).
             step_s: Time of the cycle.
         """
-        decay = math.exp(-step_s / _TRACKING_s)
-        if self._position_rad is None:
-            self._position_rad = position_rad
-        moved_rad = position_rad - self._position_rad
+        decay = math.exp(-step_s)  # a memory of one second
+        last_rad = position_rad if self._position_rad is None else self._position_rad
         self._position_rad = position_rad
+        moved_rad = position_rad - last_rad
         self._measured_rad = decay * (self._measured_rad + moved_rad)
         self._commanded_rad = decay * (self._commanded_rad + step_s * command_rad_s)
         speed_rad_s = math.sqrt(float(command_rad_s.dot(command_rad_s)))
         self._path_rad = decay * (self._path_rad + step_s * speed_rad_s)
-        lag_rad = _FOLLOWING_LAG_s * speed_rad_s
+        lag_rad = 0.03 * speed_rad_s
         deviation_rad = self._commanded_rad - self._measured_rad
         commanded_rad = math.sqrt(float(self._commanded_rad.dot(self._commanded_rad)))
         behind_rad = float(deviation_rad.dot(self._commanded_rad)) / max(
             commanded_rad,
             1e-9,  # finite where there was no motion
         )
-        if behind_rad > _MAX_LAG_FRACTION * self._path_rad + _MIN_PATH_rad + lag_rad:
+        if behind_rad > 0.5 * self._path_rad + 2e-3 + lag_rad:
             return "the arm does not follow its commands"
         largest_rad = float(np.abs(deviation_rad).max())
         if largest_rad > self._max_rad + lag_rad:
@@ -210,16 +162,15 @@ class Monitors:
     """
 
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
+        self.has_device = False
+        self.is_healthy = True
         self._session = session
         self._limits = limits
         self._tracking = CommandTracking(limits.tracking_rad)
         self._bad_s = 0.0
         self._clear_s = math.inf
         self._lateral_N = 0.0
-        self._fading_s = 0.0  # time for which a gap still shows in the force
         self._last_step_s = math.inf
-        self.has_device = False
-        self.is_healthy = True
         self.enter(State.IDLE)
 
     def enter(self, state: State) -> None:
@@ -234,10 +185,9 @@ class Monitors:
         self._entry_axial_N: float | None = None
         self._tracking.restart()
         self._impulse_Ns = 0.0  # of a side force that lasts
-        self._fading_s = 0.0
-        self._max_lateral_N = self._limits.lateral_N
-        if state == State.WITHDRAW:
-            self._max_lateral_N += self._lateral_N
+        self._fading_s = 0.0  # time for which a gap still shows in the force
+        borne_N = self._lateral_N if state == State.WITHDRAW else 0.0
+        self._max_lateral_N = self._limits.lateral_N + borne_N
 
     def update(
         self,
@@ -257,32 +207,35 @@ class Monitors:
         Returns:
             ``fault`` or ``limit``, and why.
         """
-        axial_N = estimate.wrench.axial
-        if beside.axial_N is not None:
-            axial_N = as_float(beside.axial_N)
+        has_sensor = beside.axial_N is not None
+        axial_N = as_float(beside.axial_N) if has_sensor else estimate.wrench.axial
         self._lateral_N = estimate.wrench.lateral
-        device_fault = "nobody reads the haptic device"
-        if beside.handle is not None:
-            device_fault = beside.handle.fault
+        handle = beside.handle
+        device_fault = handle.fault if handle else "nobody reads the haptic device"
         self.has_device = not device_fault
+        own_status = estimate.identification.status
+        status = beside.sample_status if has_sensor else own_status
+        # No tissue exerts it; a dwell may have begun by it.
+        is_held = self._state in (*_ADVANCING, State.DWELL)
+        is_pull = is_held and status is SampleStatus.NEEDLE_PULLED
+        pull = f"axial force {axial_N:.2f} N: {status.value}" if is_pull else ""
         fault = (
             self._check_signals(estimate, sample, axial_N, step_s)
-            or self._check_pull(estimate, beside, axial_N)
+            or pull
             or self._check_command(estimate, sample, beside, step_s)
         )
         self._clear_s = 0.0 if fault else self._clear_s + step_s
-        self.is_healthy = self._clear_s >= _CLEAR_s
+        self.is_healthy = self._clear_s >= 0.1  # a fault is gone for so long
         if fault:
             return "fault", fault
         if not math.isfinite(axial_N):
             axial_N = self._axial_N or 0.0
-        lag_s = self._session.lag_s
-        ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
-        ahead_N = self._predict_axial_N(axial_N, ahead_s, step_s)
-        side_force = self._check_side_force(step_s, lag_s)
+        lag_s = 0.0 if has_sensor else self._session.lag_s
+        ahead_N = self._predict_axial_N(axial_N, lag_s, step_s)
+        side_force = self._check_side_force(step_s)
         stop = (
             (device_fault if self._state == State.TELEOP else "")
-            or self._check_by_itself(estimate, beside)
+            or self._check_by_itself(estimate, has_sensor)
             or self._check_axial(estimate, axial_N, ahead_N)
             or side_force
             or self._check_plan(estimate)
@@ -297,29 +250,18 @@ class Monitors:
         step_s: float,
     ) -> str:
         """Return what is wrong with the signals of arm and force sensor."""
-        dt_s = as_float(getattr(sample, "dt_s", None))
+        message = estimate.wrench.message
         is_rejected = estimate.status is Status.REJECTED
-        has_force = math.isfinite(axial_N)
-        bad_step_s = -step_s if has_force and not is_rejected else step_s
-        self._bad_s = max(self._bad_s + bad_step_s, 0.0)
+        is_bad = is_rejected or not math.isfinite(axial_N)
+        self._bad_s = max(self._bad_s + (step_s if is_bad else -step_s), 0.0)
+        dt_s = as_float(getattr(sample, "dt_s", None))
         if dt_s > self._limits.late_s:
             return f"no sample for {1e3 * dt_s:.0f} ms"
         if self._bad_s > self._limits.lost_s:
-            reason = estimate.wrench.message if has_force else f"axial force {axial_N}"
+            reason = message or f"axial force {axial_N}"
             return f"bad samples for {1e3 * self._bad_s:.0f} ms: {reason}"
-        is_broken = bool(estimate.warnings & _FAULTS) and not is_rejected
-        return estimate.wrench.message if is_broken else ""
-
-    def _check_pull(
-        self, estimate: "SessionEstimate", beside: Beside, axial_N: float
-    ) -> str:
-        """Return what is wrong where no tissue exerts the force."""
-        status = estimate.identification.status
-        if beside.axial_N is not None:
-            status = beside.sample_status
-        if status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING:
-            return f"axial force {axial_N:.2f} N: {status.value}"
-        return ""
+        broken = SensorWarning.FROZEN | SensorWarning.VELOCITY
+        return message if estimate.warnings & broken and not is_rejected else ""
 
     def _check_command(
         self,
@@ -334,7 +276,7 @@ class Monitors:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
         command = beside.command_rad_s
         if command is None:
-            self._tracking.pause()
+            self._tracking.restart()
         if command is None or estimate.status is Status.REJECTED:
             return ""
         position_rad = np.array(sample.q_rad, dtype=np.float64)
@@ -344,25 +286,29 @@ class Monitors:
             return str(error)
         return self._tracking.check(position_rad, command_rad_s, step_s)
 
-    def _predict_axial_N(self, axial_N: float, ahead_s: float, step_s: float) -> float:
-        """Return the axial force a time ahead, from its reading and its mean rate."""
+    def _predict_axial_N(self, axial_N: float, lag_s: float, step_s: float) -> float:
+        """Return the axial force with the arm at rest, from its reading and its rate.
+
+        The rate is a mean over 10 ms, less than the lag of the virtual sensor.
+        """
         rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
         self._axial_N = axial_N
-        self._axial_rate_N_per_s -= math.expm1(-step_s / _RATE_LAG_s) * (
+        self._axial_rate_N_per_s -= math.expm1(-step_s / 0.01) * (
             rise_N / step_s - self._axial_rate_N_per_s
         )
+        ahead_s = self._limits.reaction_s + lag_s
         return axial_N + ahead_s * self._axial_rate_N_per_s
 
-    def _check_side_force(self, step_s: float, lag_s: float) -> str:
+    def _check_side_force(self, step_s: float) -> str:
         """Return what is wrong with a side force that lasts, and no gap has left.
 
-        Args:
-            step_s: Time of the cycle.
-            lag_s: Of the session's force.
+        A step of three usual ones, and of 5 ms at least, is a gap: an arm that nobody
+        commanded has stopped and started in it. What torques that nobody saw did to the
+        force decays within three of its lags.
         """
         self._fading_s = max(self._fading_s - step_s, 0.0)
-        if step_s > max(_MIN_GAP_s, _GAP_STEPS * self._last_step_s):
-            self._fading_s = _FADING_LAGS * lag_s
+        if step_s > max(5e-3, 3.0 * self._last_step_s):
+            self._fading_s = 3.0 * self._session.lag_s
         self._last_step_s = step_s
         is_above = self._state in _AT_TISSUE and self._lateral_N > self._max_lateral_N
         self._impulse_Ns += step_s * self._lateral_N
@@ -372,7 +318,7 @@ class Monitors:
             return f"side force {self._lateral_N:.2f} N"
         return ""
 
-    def _check_by_itself(self, estimate: "SessionEstimate", beside: Beside) -> str:
+    def _check_by_itself(self, estimate: "SessionEstimate", has_sensor: bool) -> str:
         """Return what stops an insertion by itself: bone, or an outrun force.
 
         In teleoperation the hand feels the one and decides on the other.
@@ -382,53 +328,52 @@ class Monitors:
         if estimate.identification.hard_contact is not None:
             return describe_hard_contact(estimate.identification.hard_contact)
         is_outrun = SensorWarning.TOO_FAST in estimate.warnings
-        return estimate.wrench.message if is_outrun and beside.axial_N is None else ""
+        return estimate.wrench.message if is_outrun and not has_sensor else ""
 
     def _check_axial(
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
     ) -> str:
         """Return what is wrong with the axial force, now or a time ahead."""
-        state = self._state
-        if state in _IN_AIR:
-            return self._check_axial_in_air(estimate)
-        if state not in _AT_TISSUE:
+        if self._state in (State.GUIDANCE, State.APPROACH, State.TARE):
+            # In guidance the force is the hand's, before a tare it holds the bias.
+            if self._entry_axial_N is None:
+                self._entry_axial_N = estimate.wrench.axial
+            max_N = self._limits.free_N
+            if self._state != State.GUIDANCE and estimate.status is Status.OK:
+                max_N = min(self._limits.axial_N, max_N)
+            change_N = abs(estimate.wrench.axial - self._entry_axial_N)
+            is_beyond = change_N > max_N
+            return f"axial force changed by {change_N:.1f} N" if is_beyond else ""
+        if self._state not in _AT_TISSUE:
             return ""
-        if estimate.warnings & _FORCE_UNUSABLE and state in _ADVANCING:
+        unusable = (
+            SensorWarning.JOINT_LIMIT
+            | SensorWarning.NEAR_SINGULAR
+            | SensorWarning.MODEL_MISMATCH
+            | SensorWarning.TARE_EXPIRED
+            | SensorWarning.TORQUE_JUMP
+        )
+        if estimate.warnings & unusable and self._state in _ADVANCING:
             return estimate.wrench.message
-        against_N = max(axial_N, ahead_N)
+        pushing_N = max(axial_N, ahead_N)
         pulling_N = -min(axial_N, ahead_N)
-        if state == State.WITHDRAW:
-            against_N = pulling_N
-        elif state == State.TELEOP:
-            against_N = max(against_N, pulling_N)
-        limit_N = self._limits.axial_N
-        if against_N > limit_N:
+        against_N = {
+            State.WITHDRAW: pulling_N,
+            State.TELEOP: max(pushing_N, pulling_N),
+        }.get(self._state, pushing_N)
+        if against_N > self._limits.axial_N:
             return (
                 f"axial force {axial_N:.2f} N, {against_N:.2f} N ahead; "
-                f"limit {limit_N:g} N"
+                f"limit {self._limits.axial_N:g} N"
             )
         return ""
-
-    def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
-        """Return what is wrong with the change of the axial force in this state.
-
-        In guidance the force is the hand's, before a tare it holds the bias.
-        """
-        limits = self._limits
-        axial_N = estimate.wrench.axial
-        if self._entry_axial_N is None:
-            self._entry_axial_N = axial_N
-        is_known = self._state != State.GUIDANCE and estimate.status is Status.OK
-        max_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
-        change_N = abs(axial_N - self._entry_axial_N)
-        return f"axial force changed by {change_N:.1f} N" if change_N > max_N else ""
 
     def _check_plan(self, estimate: "SessionEstimate") -> str:
         """Return what stops an advance by the plan; empty if nothing does."""
         deviation = estimate.deviation
         is_asked = self._limits.stop_off_plan
-        is_watched = is_asked or self._state == State.INSERTION
-        if deviation is None or self._state not in _ADVANCING or not is_watched:
+        watched = _ADVANCING if is_asked else (State.INSERTION,)
+        if deviation is None or self._state not in watched:
             return ""
         if deviation.is_past_target or (is_asked and deviation.is_off_plan):
             return describe_deviation(deviation)

@@ -24,26 +24,8 @@ MAX_DAMPING_Ns_m = 150.0
 """Largest damping shown at the handle: a device of that mass, sampled at 1 kHz, shows
 250 Ns/m at most."""
 
-HAND_ALLOWANCE_J = 1e-3
-"""What the hand may get before the news of it has come: one that yields to a spring
-need not wait."""
-
-HAND_ALLOWANCE_W = 2e-3
-"""By so much that allowance is refilled: hand and tissue dissipate as much in any
-case."""
-
 MAX_FORCE_N = 5.0
 """Largest force at a hand: what desktop devices can show for long."""
-
-RISE_s = 0.01
-"""Time in which the force at a hand grows to its largest: with 5 N at 500 N/s; a wall
-of 20 kN/m met at 20 mm/s wants 400 N/s."""
-
-MAX_UNCOUPLED_N = 0.5
-"""Largest force at a hand that does not move the needle: it feels free."""
-
-FORCE_LAG_s = 0.015
-"""Of the virtual sensor's force, see `InsertionSession.lag_s`."""
 
 
 class Port:
@@ -89,9 +71,8 @@ class Port:
             dt_s: The time that has passed.
         """
         owed_J = self.out_J - incoming_J
-        max_allowance_J = self._max_allowance_J + max(owed_J, 0.0)
         refilled_J = self._allowance_J + self._allowance_W * dt_s
-        self._allowance_J = min(refilled_J, max_allowance_J)
+        self._allowance_J = min(refilled_J, self._max_allowance_J + max(owed_J, 0.0))
         return self._allowance_J - owed_J
 
 
@@ -122,7 +103,9 @@ class HandPort(Port):
     """
 
     def __init__(self, max_force_N: float = MAX_FORCE_N) -> None:
-        super().__init__(HAND_ALLOWANCE_J, HAND_ALLOWANCE_W)
+        # What the hand may get before the news of it has come: one that yields to a
+        # spring need not wait.
+        super().__init__(allowance_J=1e-3, allowance_W=2e-3)
         self._limit_N = max_force_N
         self._force_N = 0.0
         self._damping_N = 0.0  # the part of the force that is damping
@@ -162,13 +145,19 @@ class HandPort(Port):
         owed_J = self.update_budget_J(incoming_J, dt_s) + self._damped_J
         leaving_J = -wanted_N * speed_m_s * ahead_s
         force_N = wanted_N * passive_fraction(leaving_J, owed_J)
-        max_N = self._max_force_N(wanted_N, speed_m_s, ahead_s)
+        # The largest force that gives a free handle no more than it gave.
+        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
+        root_m_s = math.sqrt(
+            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
+        )
+        max_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), max_N), force_N)
-        missing_J = -min(owed_J, self.net_J)
-        self._damping_N = 0.0
-        if missing_J > 0.0:
-            damping_N = _damping_force_N(missing_J, speed_m_s, ahead_s)
-            self._damping_N = min(max(damping_N, -max_N - force_N), max_N - force_N)
+        # More than m / Δt, held over an interval, would turn the handle round.
+        missing_J = max(-min(owed_J, self.net_J), 0.0)
+        max_Ns_m = min(MAX_DAMPING_Ns_m, HANDLE_kg / ahead_s)
+        max_J = max_Ns_m * speed_m_s * speed_m_s * ahead_s
+        damping_N = passive_fraction(max_J, missing_J) * max_Ns_m * speed_m_s
+        self._damping_N = min(max(damping_N, -max_N - force_N), max_N - force_N)
         sum_N = force_N + self._damping_N
         shown_N = self._limit_force_N(sum_N, dt_s, is_coupled=is_coupled)
         if shown_N != sum_N:
@@ -182,21 +171,15 @@ class HandPort(Port):
     ) -> float:
         """Return a force within the limits of size and growth.
 
-        It may fall at once, which gives nothing away, and then grow the other way.
+        It may fall at once, which gives nothing away, and then grow the other way. It
+        grows to its largest in 10 ms, with 5 N by 500 N/s: a wall of 20 kN/m met at 20
+        mm/s wants 400 N/s. A hand that does not move the needle feels free: 0.5 N.
         """
         start_N = abs(self._force_N) if wanted_N * self._force_N > 0.0 else 0.0
-        max_N = min(self._limit_N, start_N + self._limit_N / RISE_s * dt_s)
+        max_N = min(self._limit_N, start_N + self._limit_N / 0.01 * dt_s)
         if not is_coupled:
-            max_N = min(max_N, MAX_UNCOUPLED_N)
+            max_N = min(max_N, 0.5)
         return min(max(wanted_N, -max_N), max_N)
-
-    def _max_force_N(self, wanted_N: float, speed_m_s: float, ahead_s: float) -> float:
-        """Return the largest force that gives a free handle no more than it gave."""
-        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(
-            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
-        )
-        return HANDLE_kg / ahead_s * (against_m_s + root_m_s)
 
     def release(self, travel_m: float) -> None:
         """Let go of the force, after about so much travel.
@@ -206,16 +189,6 @@ class HandPort(Port):
         self.observe(min(self._force_N * travel_m, 0.0), 1.0)
         self._force_N = 0.0
         self._damping_N = 0.0
-
-
-def _damping_force_N(missing_J: float, speed_m_s: float, ahead_s: float) -> float:
-    """Return the damping force that takes back an energy in the coming interval.
-
-    More than m / Δt, held over an interval, would turn the handle round.
-    """
-    max_Ns_m = min(MAX_DAMPING_Ns_m, HANDLE_kg / ahead_s)
-    max_J = max_Ns_m * speed_m_s * speed_m_s * ahead_s
-    return passive_fraction(max_J, missing_J) * max_Ns_m * speed_m_s
 
 
 class NeedlePort(Port):
@@ -254,7 +227,8 @@ class NeedlePort(Port):
             incoming_J: Energy that is known to have entered at the other side.
             dt_s: Time since the last call, and until the next.
         """
-        self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (FORCE_LAG_s + dt_s)
+        # The lag of the virtual sensor's force, see `InsertionSession.lag_s`.
+        self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (0.015 + dt_s)
         self.observe(-force_N, self._lagged_m_s * dt_s)
         budget_J = self.update_budget_J(incoming_J, dt_s)
         return wanted_m_s * passive_fraction(force_N * wanted_m_s * dt_s, budget_J)

@@ -30,58 +30,18 @@ from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.tasks import JointTask, Task, ToolState
 
-WEAK_MOTION = 0.02
-"""A direction of a level that moves its rows, of length one, by less is damped."""
-
-MAX_DAMPING = 0.02
-"""Damping of a direction that hardly moves its level: a rate asks joints for at most 25
-times itself."""
-
-DETOUR_MOTION = 0.05
-"""Along a direction that moves the rows by so little, or less, joints are slowed to
-`MAX_DETOUR_rad_s`."""
-
-MAX_DETOUR_rad_s = 0.3
-"""Speed of the joints together along such a direction, at most: far motion for a small
-gain, which surprises those who stand beside the arm. Rows turn with the joints while a
-command is on its way, which moves an entry by the square of their speed: by 0.08 mm
-with a delay of 26 ms, at most, in 100 random poses."""
-
 INEFFECTIVE_MOTION = 0.1
 """Along a direction that moves the rows by less a level does not make up for what the
 levels above ask for, nor joints for others that are held."""
 
-MIN_ROW_LENGTH = 1e-9
-"""Shorter rows are not scaled to length one: joints hardly move what they ask for."""
-
 MIN_MOTION = 1e-13
 """A direction that moves a row of length one by less does not move it."""
-
-RANK_TOLERANCE = 1e-8
-"""Singular values of a level, relative to the largest, below which it counts as
-singular: there joints would move far for a gain that is rounding."""
-
-PUSH_TOLERANCE = 1e-12
-"""The same where pushes of bounds are found; these rows are nearly orthonormal."""
 
 AT_LIMIT_rad_s = 1e-6
 """A joint so near to a bound counts as being at it."""
 
-BEYOND_rad_s = 1e-8
-"""By so much a joint may pass its bound, within `SLACK_rad_s`."""
-
 MAX_CHANGES = 60
 """Changes of the set of held joints in one level; then the velocity at hand is kept."""
-
-STAND_IN_DAMPING = 0.1
-"""Damping of joints that stand in for others at a bound: along a direction that moves
-the rows by 0.01 they make up for a hundredth of what is lacking."""
-
-MAX_STAND_IN_SOLUTIONS = 3
-"""Solutions of a level at most, each with more joints known to be at a bound."""
-
-MIN_GAIN = 1e-12
-"""A joint that gains less by being released stays held: that is rounding."""
 
 
 class Stack:
@@ -107,11 +67,9 @@ class Stack:
     """
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
-        for task in tasks:
-            if isinstance(task, JointTask) and task.size != joints:
-                raise SettingError(
-                    f"a task of {task.size} joints, the robot has {joints}"
-                )
+        sizes = [task.size for task in tasks if isinstance(task, JointTask)]
+        if any(size != joints for size in sizes):
+            raise SettingError(f"tasks of {sizes} joints, the robot has {joints}")
         self._has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
         row_tasks = tasks[:-1] if self._has_joint_task else tasks
         sizes = [task.size for task in row_tasks]
@@ -144,13 +102,11 @@ class PlannedLevel(NamedTuple):
         rates: v, shape (m,).
         rank: Number of orthonormal directions, in the basis, that move this level or
             those above.
-        is_damped: Whether a direction is damped that joints hardly move.
     """
 
     rows: Matrix
     rates: Vector
     rank: int
-    is_damped: bool
 
 
 def hierarchical(stack: Stack) -> tuple[Array, bool]:
@@ -177,8 +133,10 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     stack.is_damped = is_damped
     if is_within:
         return velocity, False
-    velocities = (*stack.rates, *stack.joint_velocity)
-    if not (np.isfinite(stack.rows).all() and np.isfinite(velocities).all()):
+    if not (
+        np.isfinite(stack.rows).all()
+        and np.isfinite((*stack.rates, *stack.joint_velocity)).all()
+    ):
         raise SettingError("positions or goals are not finite")
     is_limited = solve_within_bounds(
         stack.rows,
@@ -223,13 +181,11 @@ def solve_without_bounds(
         if rank < velocity.size:
             level = plan_level(rows[start:end], rates[start:end], basis, rank, velocity)
             rank = level.rank
-            is_damped = is_damped or level.is_damped
+            is_damped = is_damped or level.rates.size > end - start
         start = end
     follow_where_free(joint_velocity, basis, rank, velocity)
-    is_within = True
-    for k in range(velocity.size):
-        is_within = is_within and bounds[0, k] < velocity[k] < bounds[1, k]
-    return is_within, is_damped
+    is_within = ((bounds[0] < velocity) & (velocity < bounds[1])).all()
+    return bool(is_within), is_damped
 
 
 @compiled
@@ -317,35 +273,31 @@ def plan_level(
     rotated[:, :joints] = unit_rows
     rotated[:, joints] = unit_rates
     make_rows_orthogonal(new_rows, rotated)
-    dampings = np.zeros(size)
-    steps_rad_s = np.zeros(size)
-    motions = np.zeros(size)
-    for i in range(size):
-        motions[i] = math.sqrt(dot(new_rows[i], new_rows[i]))
-        compensated = min(motions[i] / INEFFECTIVE_MOTION, 1.0) ** 2
-        unit_rows[i] = rotated[i, :joints]
-        asked_part = dot(unit_rows[i], asked)
-        error = rotated[i, joints] - compensated * asked_part
-        unit_rates[i] = rotated[i, joints] + (1.0 - compensated) * asked_part
-        if motions[i] > MIN_MOTION:
-            dampings[i] = find_damping(motions[i], error)
-            steps_rad_s[i] = motions[i] / (motions[i] ** 2 + dampings[i] ** 2) * error
+    above = asked.copy()
     first = rank
     damped = np.zeros(size)
     for i in range(size):
-        if motions[i] > MIN_MOTION and rank < joints:
-            add_direction(new_rows[i], motions[i], basis, rank)
+        unit_rows[i] = rotated[i, :joints]
+        motion = math.sqrt(dot(new_rows[i], new_rows[i]))
+        compensated = min(motion / INEFFECTIVE_MOTION, 1.0) ** 2
+        asked_part = dot(unit_rows[i], above)
+        unit_rates[i] = rotated[i, joints] + (1.0 - compensated) * asked_part
+        if motion > MIN_MOTION and rank < joints:
+            error = rotated[i, joints] - compensated * asked_part
+            damping = find_damping(motion, error)
+            add_direction(new_rows[i], motion, basis, rank)
+            step_rad_s = motion / (motion**2 + damping**2) * error
             for k in range(joints):
-                asked[k] += steps_rad_s[i] * basis[rank, k]
-            damped[rank - first] = dampings[i]
+                asked[k] += step_rad_s * basis[rank, k]
+            damped[rank - first] = damping
             rank += 1
-    damping_rows = scale_positive_rows(basis[first:rank], damped[: rank - first])
+    dampings = damped[: rank - first]
+    damping_rows = (dampings.reshape(-1, 1) * basis[first:rank])[dampings > 0.0]
     damping_rates = np.zeros(len(damping_rows))
     return PlannedLevel(
         np.vstack((unit_rows, damping_rows)),
         np.concatenate((unit_rates, damping_rates)),
         rank,
-        damping_rates.size > 0,
     )
 
 
@@ -388,24 +340,12 @@ def scale_to_unit_length(rows: Matrix, rates: Vector) -> tuple[Array, Array]:
     unit_rows = rows.copy()
     unit_rates = rates.copy()
     for i in range(rates.size):
-        length = max(math.sqrt(dot(rows[i], rows[i])), MIN_ROW_LENGTH)
+        # Joints hardly move what a shorter row asks for.
+        length = max(math.sqrt(dot(rows[i], rows[i])), 1e-9)
         unit_rates[i] /= length
         for k in range(rows.shape[1]):
             unit_rows[i, k] /= length
     return unit_rows, unit_rates
-
-
-@compiled_inside
-def scale_positive_rows(rows: Matrix, factors: Vector) -> Array:
-    """Scale each row by its factor, and drop rows whose factor is not positive."""
-    products = np.empty((factors.size, rows.shape[1]))
-    size = 0
-    for i in range(factors.size):
-        if factors[i] > 0.0:
-            for k in range(rows.shape[1]):
-                products[size, k] = factors[i] * rows[i, k]
-            size += 1
-    return products[:size]
 
 
 @compiled_inside
@@ -416,12 +356,12 @@ def find_damping(motion: float, error: float) -> float:
     the errors, a level asks joints for e/σ. One more row λ (N v)ᵀ, which asks for rest,
     makes that e σ/(σ² + λ²), with the larger of
 
-        λ = λ_max (1 - (σ/σ₀)²)      below σ₀ (`WEAK_MOTION`)
-        λ² = |e| σ/w - σ²            where |e|/σ exceeds w
-        w = w_max max(1, σ/σ_d)²     with `MAX_DETOUR_rad_s` and `DETOUR_MOTION`
+        λ = λ_max (1 - (σ/σ₀)²)      below σ₀ = 0.02, with λ_max = 0.02
+        λ² = |e| σ/w - σ²            where |e|/σ exceeds w, see `damp_detour`
 
-    (Nakamura and Hanafusa, ASME J. Dyn. Syst. 1986; Chiaverini, IEEE T-RA 1997). Both
-    are zero, and the level exact, elsewhere.
+    (Nakamura and Hanafusa, ASME J. Dyn. Syst. 1986; Chiaverini, IEEE T-RA 1997): a rate
+    asks joints for at most 25 times itself. Both are zero, and the level exact,
+    elsewhere.
 
     Args:
         motion: σ, positive.
@@ -430,17 +370,22 @@ def find_damping(motion: float, error: float) -> float:
     Returns:
         λ.
     """
-    weakness = max(1.0 - (motion / WEAK_MOTION) ** 2, 0.0)
-    return max(MAX_DAMPING * weakness, damp_detour(motion, error))
+    return max(0.02 * max(1.0 - (motion / 0.02) ** 2, 0.0), damp_detour(motion, error))
 
 
 @compiled_inside
 def damp_detour(motion: float, error: float) -> float:
     """Return the damping that keeps joints from moving far and fast for a small gain.
 
+    Along a direction that moves the rows by 0.05 or less they are slowed together to
+    0.3 rad/s: far motion for a small gain surprises those who stand beside the arm.
+    Rows turn with the joints while a command is on its way, which moves an entry by the
+    square of their speed: by 0.08 mm with a delay of 26 ms, at most, in 100 random
+    poses. With more motion w grows by its square.
+
     Args as of `find_damping`.
     """
-    highest_rad_s = MAX_DETOUR_rad_s * max(motion / DETOUR_MOTION, 1.0) ** 2
+    highest_rad_s = 0.3 * max(motion / 0.05, 1.0) ** 2
     too_fast = abs(error) * motion / highest_rad_s - motion**2
     return math.sqrt(max(too_fast, 0.0))
 
@@ -477,14 +422,13 @@ def solve_bounded_level(
     velocity = start.copy()
     asked = np.minimum(np.maximum(unbounded, bounds[0]), bounds[1])
     lost = np.where(unbounded != asked, 1.0, 0.0)
-    for solution in range(MAX_STAND_IN_SOLUTIONS):
+    for solution in range(3):  # each with more joints known to be at a bound
         errors = rates - multiply_vector(rows, asked)
         damping_rows = damp_stand_ins(rows, errors, free, lost)
         if solution > 0 and not len(damping_rows):
             break
         rows = np.vstack((rows, damping_rows))
-        damped_rates = multiply_vector(damping_rows, unbounded)
-        rates = np.concatenate((rates, damped_rates))
+        rates = np.concatenate((rates, multiply_vector(damping_rows, unbounded)))
         velocity = solve_level(rows, rates, free, bounds, start)
         room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
         # At the other bound it stands in for others.
@@ -503,7 +447,10 @@ def damp_stand_ins(rows: Matrix, errors: Vector, free: Matrix, lost: Vector) -> 
     With the singular value σ of the level along v, λ is the larger of that of
     `damp_detour` and
 
-        λ = λ_s (1 - (σ/σ₁)²)      below σ₁ (`INEFFECTIVE_MOTION`)
+        λ = λ_s (1 - (σ/σ₁)²)      below σ₁ (`INEFFECTIVE_MOTION`), with λ_s = 0.1
+
+    Along a direction that moves the rows by 0.01 joints then make up for a hundredth of
+    what is lacking.
 
     Args:
         rows: Of the level, shape (m, n).
@@ -524,8 +471,8 @@ def damp_stand_ins(rows: Matrix, errors: Vector, free: Matrix, lost: Vector) -> 
         if motion > MIN_MOTION:
             weakness = 1.0 - (motion / INEFFECTIVE_MOTION) ** 2
             error = dot(effects[i], errors) / motion
-            dampings[i] = max(STAND_IN_DAMPING * weakness, damp_detour(motion, error))
-    return scale_positive_rows(directions, dampings)
+            dampings[i] = max(0.1 * weakness, damp_detour(motion, error))
+    return (dampings.reshape(-1, 1) * directions)[dampings > 0.0]
 
 
 @compiled_inside
@@ -557,20 +504,19 @@ def find_blocking_joint(
     fraction = 1.0
     joint = -1
     largest_motion = 0.0
-    room = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
+    reach = (np.where(step > 0.0, bounds[1], bounds[0]) - velocity) / step
+    is_free = (held_at == 0.0) & (step != 0.0)
     for k in range(step.size):
-        if held_at[k] == 0.0 and step[k] != 0.0:
-            reach = room[k] / step[k] + BEYOND_rad_s / abs(step[k])
-            fraction = min(fraction, max(reach, 0.0))
+        if is_free[k]:
+            # A joint may pass its bound by so much, within `SLACK_rad_s`.
+            beyond = max(reach[k] + 1e-8 / abs(step[k]), 0.0)
+            fraction = min(fraction, beyond)
     for k in range(step.size if fraction < 1.0 else 0):
-        if (
-            held_at[k] == 0.0
-            and abs(step[k]) > largest_motion
-            and room[k] / step[k] <= fraction
-        ):
+        motion = abs(step[k])
+        if is_free[k] and motion > largest_motion and reach[k] <= fraction:
             joint = k
-            largest_motion = abs(step[k])
-    return (max(room[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
+            largest_motion = motion
+    return (max(reach[joint], 0.0) if joint >= 0 else 1.0), joint
 
 
 @compiled_inside
@@ -585,15 +531,13 @@ def find_joint_to_release(
         held_at: -1 at the lower bound, 1 at the upper, 0 for a free joint, shape (n,).
         is_first_taken: Take the first joint that gains, not the best one.
     """
-    held_columns = np.ascontiguousarray(held_rows.T)
-    push = solve_least_squares(held_columns, gradient, PUSH_TOLERANCE)
+    push = solve_least_squares(np.ascontiguousarray(held_rows.T), gradient, 1e-12)
     joints = np.flatnonzero(held_at)
     outwards_push = push * held_at[joints]
-    gaining = np.flatnonzero(outwards_push < -MIN_GAIN)
+    gaining = np.flatnonzero(outwards_push < -1e-12)  # a smaller gain is rounding
     if not gaining.size:
         return -1
-    index = gaining[0] if is_first_taken else np.argmin(outwards_push)
-    return joints[index]
+    return joints[gaining[0] if is_first_taken else np.argmin(outwards_push)]
 
 
 @compiled
@@ -626,9 +570,9 @@ def solve_level(
         directions = multiply(free, null_space(held_rows))
         if directions.shape[1]:
             errors = rates - multiply_vector(rows, velocity)
-            coefficients = solve_least_squares(
-                multiply(rows, directions), errors, RANK_TOLERANCE
-            )
+            # Below so much of the largest singular value joints would move far for a
+            # gain that is rounding.
+            coefficients = solve_least_squares(multiply(rows, directions), errors, 1e-8)
             step = multiply_vector(directions, coefficients)
             fraction, joint = find_blocking_joint(velocity, step, bounds, held_at)
             velocity += fraction * step

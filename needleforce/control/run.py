@@ -24,9 +24,6 @@ from needleforce.control.tasks import Task
 MAX_WAIT_s = 30.0
 """So long the arm may take to accept commands."""
 
-MAX_STRAY_rad = 0.02
-"""A joint that has moved so far without a command is pushed, or runs away."""
-
 RIGHT_ARM = "Let the arm take commands, in free air, nothing touching it, with room."
 
 
@@ -41,7 +38,7 @@ class Tick:
             does in states of the manager that do not move.
         handle: What the program has found out of a haptic device by `check_handle`.
         last: The command of the cycle before; None in the first.
-        was_taken: Whether the arm took that.
+        was_taken: Whether the arm took that; not so in the first.
     """
 
     sample: ArmSample
@@ -94,7 +91,7 @@ def run(
     beside = Beside()
     handle_watch = HandleWatch()
     command: Command | None = None
-    is_taken = True
+    is_taken = False
     try:
         for sample in samples:
             situation: Situation | None = None
@@ -125,19 +122,10 @@ def run(
             if tick.handle is None:  # what it does while nobody asks is no motion
                 handle_watch = HandleWatch()
     finally:
-        _bring_to_rest(arm, samples, controller)
-
-
-def _bring_to_rest(
-    arm: Arm, samples: Iterator[ArmSample], controller: Controller
-) -> None:
-    """Brake until the arm stands, refuses, or its samples end."""
-    if not controller.last_rad_s.any():
-        return
-    for sample in samples:
-        command = controller.update(sample, ())
-        if not arm.send(command.dq_rad_s) or not command.dq_rad_s.any():
-            return
+        for sample in samples if controller.last_rad_s.any() else ():
+            command = controller.update(sample, ())
+            if not arm.send(command.dq_rad_s) or not command.dq_rad_s.any():
+                break
 
 
 def move_guarded(
@@ -160,26 +148,22 @@ def move_guarded(
     Raises:
         ControlError: The arm has not moved as it should, or its samples have ended.
     """
-    tracking = CommandTracking(MAX_STRAY_rad)
+    tracking = CommandTracking(max_rad=0.02)  # one that moves further is pushed
     time_s = 0.0
     waited_s = 0.0
     with closing(run(arm, controller, without_force_limit=True)) as ticks:
         for tick in ticks:
             dt_s = tick.sample.dt_s
-            last = tick.last
-            if last is None or (time_s == 0.0 and not tick.was_taken):
-                waited_s += dt_s
-                if waited_s > MAX_WAIT_s:
-                    raise ControlError(
-                        f"the arm took no command in {MAX_WAIT_s:g} s", RIGHT_ARM
-                    )
-                yield 0.0, tick
-                continue
-            time_s += dt_s
-            if not tick.was_taken and time_s <= duration_s:
-                raise ControlError("the arm has refused a command", RIGHT_ARM)
-            position_rad = np.array(tick.sample.q_rad, dtype=np.float64)
-            if stray := tracking.check(position_rad, last.dq_rad_s, dt_s):
-                raise ControlError(stray, RIGHT_ARM)
+            fault = ""
+            if time_s > 0.0 or tick.was_taken:
+                time_s += dt_s
+                q_rad = np.array(tick.sample.q_rad, dtype=np.float64)
+                fault = tracking.check(q_rad, controller.last_rad_s, dt_s)
+                if not tick.was_taken and time_s <= duration_s:
+                    fault = "the arm has refused a command"
+            elif (waited_s := waited_s + dt_s) > MAX_WAIT_s:
+                fault = f"the arm took no command in {MAX_WAIT_s:g} s"
+            if fault:
+                raise ControlError(fault, RIGHT_ARM)
             yield time_s, tick
     raise ControlError("the samples of the arm have ended", RIGHT_ARM)

@@ -31,16 +31,10 @@ where they are rounded to an encoder's steps they make the command rough."""
 MAX_STEP_s = 0.02
 """A sample that comes later than this moves the arm no further than this one."""
 
-ROTATION_TOLERANCE = 1e-6
-"""Entries of R^T R may differ so much from the unit matrix: R is written with few
-digits."""
-
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1).reshape(9, 3)
 """The map from r to the matrix of w x r, which acts on w; linear in r."""
-
-_NO_ROTATION = np.zeros(3)
 
 
 class ToolState:
@@ -134,7 +128,7 @@ class TipTask:
         rotation_rad = (
             pin.log3(self.rotation @ tool.pose[:3, :3].T)
             if self._has_rotation
-            else _NO_ROTATION
+            else np.zeros(3)
         )
         rates[:] = self.rate
         _write_tip_task(
@@ -186,7 +180,9 @@ class Fixture(TipTask):
     ) -> None:
         axes = np.array(rotation, dtype=np.float64)
         is_orthonormal = axes.shape == (3, 3) and np.allclose(
-            axes.T @ axes, np.eye(3), atol=ROTATION_TOLERANCE
+            axes.T @ axes,
+            np.eye(3),
+            atol=1e-6,  # written with few digits
         )
         if not (is_orthonormal and np.linalg.det(axes) > 0.0):
             raise SettingError(
@@ -229,8 +225,7 @@ class TipVelocity(TipTask):
             )
         super().__init__(np.eye(6)[:3], gain_per_s if goal_m is not None else 0.0)
         self.rate = as_vector(velocity_m_s, 3, "velocity_m_s")
-        if goal_m is not None:
-            self.goal_m = as_vector(goal_m, 3, "goal_m")
+        self.goal_m = as_vector(np.zeros(3) if goal_m is None else goal_m, 3, "goal_m")
 
 
 class RemoteCentre:

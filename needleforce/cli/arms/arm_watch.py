@@ -23,7 +23,7 @@ from needleforce.cli.options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
 from needleforce.cli.terminal import CHECK_ARM, CommandError, say, write_out
-from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
+from needleforce.control.tare_stroke import tare_with_stroke
 from needleforce.depth_zero import find_depth_zero
 from needleforce.devices import ArmReading, LinkReport, NetFT
 from needleforce.devices.rdt import describe_status
@@ -39,7 +39,7 @@ MEAN_SPEED_m_s = 0.01
 """Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
 
 MIN_LEG_S = 10.0
-"""Time of a stroke each way, at least: the elbow needs it for its swings."""
+"""Time of a stroke each way, at least."""
 
 M_TO_MM = 1e3
 
@@ -54,7 +54,7 @@ def watch_arm(
     reference_axis: Direction,
     port: int | None,
     tare_s: float,
-    motion: TareMotion | None,
+    stroke_m: float | None,
     is_confirmed: bool,
 ) -> int:
     """Watch force and layers of an arm.
@@ -68,7 +68,7 @@ def watch_arm(
         reference_axis: Direction of insertion in its axes.
         port: Of the page with the scene; None for no page.
         tare_s: Motion without contact before the tare.
-        motion: That the arm makes, and is tared from, before; None for none.
+        stroke_m: That the arm makes, and is tared from, before; None for none.
         is_confirmed: Whether it may move without a question.
 
     Returns:
@@ -84,7 +84,7 @@ def watch_arm(
     plan = load_plan(plan_place)
     with ExitStack() as stack:
         opened = _open_tared_arm(
-            arm_name, robot, options, motion, is_confirmed=is_confirmed
+            arm_name, robot, options, stroke_m, is_confirmed=is_confirmed
         )
         (arm, model), session = stack.enter_context(opened)
         reference = page = None
@@ -154,22 +154,6 @@ def _estimates(
         yield sample, estimate
 
 
-def parse_stroke(stroke_mm: float | None, swivel_deg: float) -> TareMotion | None:
-    """Return the motion that options ask for; None without a stroke.
-
-    Args:
-        stroke_mm: Retreat of the needle.
-        swivel_deg: Swings of the elbow meanwhile.
-    """
-    if stroke_mm is None:
-        return None
-    return TareMotion(
-        stroke_m=1e-3 * stroke_mm,
-        leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
-        swivel_rad=math.radians(swivel_deg),
-    )
-
-
 class _RestingArm:
     """A simulated arm that has moved, to be listened to like a connected one.
 
@@ -197,37 +181,36 @@ def _open_tared_arm(
     name: str,
     robot: RobotOptions,
     options: ArmOptions,
-    motion: TareMotion | None,
+    stroke_m: float | None,
     *,
     is_confirmed: bool,
 ) -> Iterator[tuple[ConnectedArm, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
     A simulated arm stays the one that has moved; any other is given back and opened
-    anew, so that its user may move it. The session is not tared without a motion.
+    anew, so that its user may move it. The session is not tared without a stroke.
 
     Args:
         name: The arm as the command line names it.
         robot: Options that describe the robot.
         options: Motor constants of a UR.
-        motion: That the arm makes, and is tared from; None for none.
+        stroke_m: That the arm makes, and is tared from; None for none.
         is_confirmed: Whether it may move without a question.
 
     Raises:
         CommandError: The user says no, or the arm sends no torques.
     """
     constants_Nm_A = options.motor_constants
-    if motion is None:
+    if stroke_m is None:
         with open_arm(name, robot, constants_Nm_A) as connected:
             yield connected, InsertionSession(connected.robot)
         return
     if name.startswith("ur:") and constants_Nm_A is None:
         raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
-    swings = motion.swings if motion.swivel_rad else 0
+    leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
     text = (
-        f"{name} will draw the needle back by {M_TO_MM * motion.stroke_m:.0f} mm and "
-        f"return in {motion.duration_s:.0f} s; the elbow of an arm of seven joints "
-        f"will swing {swings} times by {math.degrees(motion.swivel_rad):.0f} degrees."
+        f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and return "
+        f"in {2.0 * leg_s:.0f} s."
     )
     if not is_confirmed:
         ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
@@ -236,7 +219,10 @@ def _open_tared_arm(
         arm, model = connected
         session = InsertionSession(model)
         say(text)
-        tare_with_stroke(arm, session, limits_of(connected), motion, robot=model)
+        limits = limits_of(connected)
+        tare_with_stroke(
+            arm, session, limits, stroke_m=stroke_m, leg_s=leg_s, robot=model
+        )
         say("tared")
         if isinstance(arm, SimulatedArm):
             yield ConnectedArm(_RestingArm(arm), model), session

@@ -74,3 +74,32 @@ class Needle:
         """Move for a tick; the arm's servo is 5 ms late."""
         self.speed_m_s += (command.speed_m_s - self.speed_m_s) / 6.0
         self.depth_m += self.speed_m_s * DT
+
+
+def no_force(depth_m, speed_m_s):
+    return 0.0
+
+
+def push(force_N):
+    """Return a force that is always the same."""
+    return lambda depth_m, speed_m_s: force_N
+
+
+def track(tele, samples, force_at=no_force, needle=None, device=None, **how):
+    """Let a needle follow samples of the handle; ``device`` shows its force.
+
+    Returns for every tick its depth [m], the commanded speed [m/s], the force on the
+    hand and the one that is to be shown [N], and why the needle stands.
+    """
+    needle = needle or Needle()
+    rows = []
+    for sample in samples:
+        motion = {"depth_m": needle.depth_m, "speed_m_s": needle.speed_m_s}
+        known = estimate(force_at(**motion), **motion | how)
+        move = answer(tele, sample, known)
+        if device is not None:
+            device.render(move.force_N)
+        needle.follow(move)
+        felt_N = move.force_N[2]
+        rows.append((needle.depth_m, move.speed_m_s, felt_N, tele.shown_N, move.reason))
+    return tuple(map(np.array, zip(*rows, strict=True)))

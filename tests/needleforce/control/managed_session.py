@@ -5,7 +5,7 @@ import numpy as np
 from groundtruth.rig_arm import ArmSample
 from identification import SampleStatus
 from needleforce import InsertionSession
-from needleforce.control import Beside, HandleReport, Manager, SafetyLimits
+from needleforce.control import Beside, HandleReport, Manager, SafetyLimits, State
 from needleforce.control.handle_watch import HandleReading
 from residual import SensorConfig, SensorWarning, Status, TareError
 from urdf import load_lwr
@@ -88,18 +88,43 @@ def run(manager, seconds=1e-3, beside=None, dt_s=1e-3, q_rad=None, is_alive=True
     return situation
 
 
-def go_to(manager, sensor, depth_m, in_contact=False):
-    """Let the needle be there, in tissue or not."""
-    sensor.reads(depth_m=depth_m, in_contact=in_contact)
-    return run(manager)
+def at(depth_m, in_contact=False, **how):
+    """Return a step in which the needle is there, in tissue or not."""
+    return {"depth_m": depth_m, "in_contact": in_contact} | how
 
 
-def inserting(**kwargs):
-    manager, sensor = new_manager(**kwargs)
-    run(manager, 0.2)
-    for event in ("tare", "arrived", "insert"):
-        assert manager.request(event) == ""
+def play(manager, sensor, *steps):
+    """Play steps, and return the last situation.
 
-        run(manager)
+    An event is requested; with "!" before it that must be refused, and for a reason
+    with the word after it. A state must be the one after a cycle. A number is time that
+    passes, a `Beside` what comes with all samples from then on. A dictionary is what
+    the sensor reads and has from then on, and ``dt_s`` of the one cycle that follows.
+    """
+    beside = Beside()
+    for step in steps:
+        if isinstance(step, State):
+            situation = run(manager, beside=beside)
+            assert situation.state is step, (steps, situation.reason)
+        elif isinstance(step, str):
+            event, _, word = step.partition(" ")
+            refused = manager.request(event.strip("!"))
+            assert bool(refused) == event.startswith("!"), (step, refused)
+            assert word in refused
+        elif isinstance(step, float):
+            situation = run(manager, step, beside)
+        elif isinstance(step, Beside):
+            beside = step
+        else:
+            has = {name: step[name] for name in step if name in vars(sensor)}
+            vars(sensor).update(has)
+            reads = {name: step[name] for name in step if name not in (*has, "dt_s")}
+            sensor.reads(**reads)
+            situation = run(manager, 1e-3, beside, step.get("dt_s", 1e-3))
+    return situation
 
+
+def inserting(**how):
+    manager, sensor = new_manager(**how)
+    play(manager, sensor, 0.2, "tare", "arrived", 1e-3, "insert", 1e-3)
     return manager, sensor

@@ -14,7 +14,7 @@ from needleforce.control import (
     SettingError,
     TipVelocity,
 )
-from tests.needleforce.control.late_arm import LateArm
+from tests.needleforce.control.late_arm import LateArm, follow
 from urdf import NeedleTool, load_example, load_lwr
 
 LWR = load_lwr(payload=NeedleTool())
@@ -66,16 +66,15 @@ def test_no_tick_is_above_the_limits_of_the_arm(name, delay_s):
         angle = math.radians(20.0) * 0.5 * (1.0 - math.cos(math.pi * k / ticks))
         tip.goal_m = entry_m + 0.01 * axes @ (0.0, math.sin(angle), math.cos(angle))
         since_s += cycle_s
-        commands_rad_s.append(commands_rad_s[-1])
         if rng.random() >= 0.01:
             sample = arm.sample(since_s)
             sample.q_rad = arm.q_rad + 1e-5 * rng.standard_normal(robot.nv)
             if 0.5 * ticks < k < 0.5 * ticks + 10:
                 sample.q_rad[2] = np.nan
             command = control.update(sample, tasks if k < 0.9 * ticks else [])
-            commands_rad_s[-1] = command.dq_rad_s
             since_s = 0.0
-        arm.move(commands_rad_s[-1])
+        commands_rad_s.append(command.dq_rad_s)
+        arm.move(command.dq_rad_s)
         lever_m = entry_m - arm.tool.tip_m
         errors_m.append(np.linalg.norm(np.cross(arm.tool.axis, lever_m)))
 
@@ -106,14 +105,10 @@ def test_a_missed_second_does_not_step_the_command(name):
 def test_the_tip_keeps_its_limit_of_speed():
     control = Controller(LWR, Limits.of_arm(LWR, "lwr", tip_m_s=0.02))
     arm = LateArm(LWR, LWR_HOME_rad)
-    speeds_m_s = []
-    for _ in range(400):
-        command = control.update(arm.sample(), [TipVelocity((0.0, 0.2, 0.1))])
-        tip_m_s = control.tool.jacobian[:3] @ command.dq_rad_s
-        speeds_m_s.append(np.linalg.norm(tip_m_s))
-        arm.move(command.dq_rad_s)
+    follow(control, arm, [TipVelocity((0.0, 0.2, 0.1))], 400)
+    speeds_m_s = np.linalg.norm(np.diff(arm.tips_m, axis=0), axis=1) / 1e-3
 
-    assert max(speeds_m_s) <= 0.02 + 1e-6
+    assert speeds_m_s.max() <= 0.02 + 1e-6
     assert speeds_m_s[-1] == pytest.approx(0.02, rel=1e-3)
 
 
@@ -126,12 +121,9 @@ def test_a_joint_stops_before_its_end(sign, has_jerk):
     arm = LateArm(LWR, LWR_HOME_rad)
     ends_rad = LWR.position_upper_rad if sign > 0.0 else LWR.position_lower_rad
     goal = Posture(np.full(7, 9.0 * sign), gain_per_s=50.0)
-    beyond_rad = []
-    for _ in range(4000):
-        arm.move(control.update(arm.sample(), [goal]).dq_rad_s)
-        beyond_rad.append((sign * (arm.q_rad - ends_rad)).max() + 0.02)
+    follow(control, arm, [goal], 4000)
 
-    assert max(beyond_rad) <= 1e-6
+    assert (sign * (np.array(arm.positions_rad) - ends_rad)).max() + 0.02 <= 1e-6
     assert arm.q_rad == pytest.approx(ends_rad - 0.02 * sign, abs=1e-3)
 
 
@@ -150,18 +142,17 @@ def test_a_joint_stops_before_its_end(sign, has_jerk):
         {"margin_rad": 9.0},
         {"margin_rad": -1.0},
         {"margin_rad": None},
+        {"name": "abb"},
+        {"name": "ur5e"},
     ],
 )
 def test_impossible_limits_are_refused(wrong):
+    make = Limits.of_arm if "name" in wrong else Limits
     with pytest.raises(SettingError):
-        Limits(LWR, **wrong)
+        make(LWR, **wrong)
 
 
-def test_a_preset_needs_its_arm():
-    with pytest.raises(SettingError, match="abb"):
-        Limits.of_arm(LWR, "abb")
-    with pytest.raises(SettingError, match="6 joints"):
-        Limits.of_arm(LWR, "ur5e")
+def test_limits_of_another_robot_are_refused():
     with pytest.raises(SettingError, match="6 joints"):
         Controller(LWR, Limits.of_arm(ARMS["ur5e"][0], "ur5e"))
 

@@ -36,10 +36,6 @@ def test_the_prediction_is_where_a_late_arm_gets_to(cycles_late):
 
         velocity = rng.standard_normal(2)
 
-    prediction.reset()
-
-    assert not prediction.motion_ahead_rad.any()
-
 
 @pytest.mark.parametrize("dt_s", [1e300, np.nan, np.inf, -1.0])
 def test_of_a_pause_the_last_command_counts_only(dt_s):

@@ -21,7 +21,7 @@ from needleforce.control import (
 )
 from needleforce.control.guidance import LWR_DAMPING_Nms, find_damping_of_arm
 from residual import DEFAULT, Status, VirtualForceSensor
-from tests.needleforce.control.late_arm import DT_s, LateArm
+from tests.needleforce.control.late_arm import DT_s, LateArm, follow
 from urdf import NeedleTool, load_example, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -57,12 +57,10 @@ def test_the_arm_yields_beyond_a_dead_zone_only(sign):
 
 def test_swings_are_damped_leading_is_not():
     guidance = Guidance(ROBOT, np.full(7, 10.0))
-    speeds = []
-    for k in range(3000):
-        torque = 5.0 * np.sin(2.0 * np.pi * 5e-3 * k)  # 5 Hz
-        speeds.append(np.abs(velocity(guidance, torque)).max())
+    torques_Nm = 5.0 * np.sin(2.0 * np.pi * 5e-3 * np.arange(3000))  # 5 Hz
+    speeds_rad_s = [np.abs(velocity(guidance, t)).max() for t in torques_Nm]
 
-    assert max(speeds[1500:]) < 0.05  # 5 Nm on 10 Nms
+    assert max(speeds_rad_s[1500:]) < 0.05  # 5 Nm on 10 Nms
     assert np.abs(velocity(guidance, 5.0, 3000)).max() > 0.4
 
 
@@ -189,13 +187,9 @@ def guide_simulated_arm(plant, stiffness_N_per_m, way_m, seconds):
             if not sensor.tared:
                 sensor.tare()
                 hand.path_m = lambda t_s: min((t_s - begin_s) / seconds, 1.0) * way
-            noise_Nm = sensor.residual_std_Nm
+            signals = (wrench.residual, sensor.residual_std_Nm, sample.dt_s)
             is_valid = wrench.status is Status.OK
-            tasks = [
-                guidance.update(
-                    wrench.residual, noise_Nm, sample.dt_s, is_valid=is_valid
-                )
-            ]
+            tasks = [guidance.update(*signals, is_valid=is_valid)]
             rows.append((np.linalg.norm(hand.stretch_m), control.last_rad_s))
         arm.send(control.update(sample, tasks).dq_rad_s)
     return sensor, *map(np.array, zip(*rows, strict=True))
@@ -257,11 +251,10 @@ def lead(name, force_at, seconds):
         torque_Nm = late.popleft()
         torque_Nm -= np.clip(torque_Nm, -0.05, 0.05)
         task = guidance.update(torque_Nm, np.full(robot.nv, 0.01), DT_s)
-        speed_rad_s = controller.update(arm.sample(), [task]).dq_rad_s
-        tip_m_s = arm.tool.jacobian[:3] @ speed_rad_s
-        arm.move(speed_rad_s)
+        follow(controller, arm, [task], 1)
+        tip_m_s = (arm.tips_m[-1] - arm.tips_m[-2]) / DT_s
         rows.append((arm.tool.tip_m - start_m, tip_m_s, force_N))
-    return (np.array(values) for values in zip(*rows, strict=True))
+    return map(np.array, zip(*rows, strict=True))
 
 
 def test_the_formula_gives_an_lwr_about_what_was_found_for_it():

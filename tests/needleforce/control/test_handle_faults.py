@@ -10,13 +10,14 @@ from groundtruth.rig_operator import HapticMaster, Operator
 from needleforce.control import Beside, HandleWatch, State
 from tests.needleforce.control.haptic import (
     DT,
-    Needle,
     answer,
     estimate,
     handle,
+    push,
     teleoperate,
+    track,
 )
-from tests.needleforce.control.managed_session import inserting, run
+from tests.needleforce.control.managed_session import inserting, play, run
 
 FAULT_S = 1.0
 
@@ -41,13 +42,12 @@ def replaced(**parts):
 
 
 def frozen(**parts):
-    kept = []
+    first = []
 
     def fault(t_s, sample):
         if t_s < FAULT_S:
-            return sample
-        kept.append(sample)
-        return changed(kept[0], **parts)
+            first[:] = [sample]
+        return changed(first[0], **parts if t_s >= FAULT_S else {})
 
     return fault
 
@@ -80,23 +80,14 @@ def stamped(sample):
 def drive(fault, hand_m_s, *, stiffness=500.0, **tele_settings):
     """Drive a needle into a spring 2 mm away, a hand that has a fault after 1 s.
 
-    Returns depth [m], force on the hand [N] and its place [m] of every tick, and the
-    reasons for which the needle stands.
+    Returns depth [m] and force on the hand [N] of every tick, its place in the end [m],
+    and the reasons for which the needle stands.
     """
     device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, hand_m_s * t_s)))
-    tele = teleoperate(**tele_settings)
-    needle = Needle()
-    rows = []
-    reasons = []
-    for k in range(2500):
-        spring_N = stiffness * max(needle.depth_m - 2e-3, 0.0)
-        known = estimate(spring_N, None, needle.depth_m, needle.speed_m_s)
-        move = answer(tele, fault(k * DT, stamped(device.read())), known)
-        device.render(move.force_N)
-        needle.follow(move)
-        rows.append((needle.depth_m, move.force_N[2], device.position_m[2]))
-        reasons.append(move.reason)
-    return *np.transpose(rows), reasons
+    samples = (fault(k * DT, stamped(device.read())) for k in range(2500))
+    spring_N = lambda depth_m, speed_m_s: stiffness * max(depth_m - 2e-3, 0.0)  # noqa: E731
+    rows = track(teleoperate(**tele_settings), samples, spring_N, device=device)
+    return rows[0], rows[2], device.position_m[2], rows[4]
 
 
 @pytest.mark.parametrize("hand_m_s", [0.01, 0.1, -0.03])
@@ -116,23 +107,21 @@ def test_a_fault_of_the_handle_neither_drives_the_needle_nor_hurts(name, hand_m_
 
 @pytest.mark.parametrize("name", [n for n in FAULTS if n.startswith(SEEN_BY_MANAGER)])
 def test_the_manager_stops_without_a_usable_handle(name):
-    manager, _ = inserting()
-    manager.request("arrived")
+    manager, sensor = inserting()
     device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, 0.02 * t_s)))
     fault, reason = FAULTS[name]
     watch = HandleWatch()
-    for k in range(round(FAULT_S / DT) + 50):
-        sample = fault(k * DT, stamped(device.read()))
-        situation = run(manager, DT, Beside(handle=watch.update(sample, DT)))
-        if k == 10:
-            assert manager.request("teleoperate") == ""
-        if 10 < k < FAULT_S / DT:
-            assert situation.state is State.TELEOP
+    reports = [
+        watch.update(fault(k * DT, stamped(device.read())), DT)
+        for k in range(round(FAULT_S / DT) + 50)
+    ]
+    besides = [Beside(handle=report) for report in reports]
+    play(manager, sensor, "arrived", besides[0], 1e-3, "teleoperate")
+    states = [run(manager, DT, beside).state for beside in besides]
 
-    assert situation.state is State.STOPPED
-    assert reason in situation.reason
-    assert manager.request("release") == ""
-    assert "no haptic device" in manager.request("teleoperate")
+    assert set(states[: round(FAULT_S / DT)]) == {State.TELEOP}
+    assert reason in run(manager, DT, besides[-1]).reason
+    play(manager, sensor, State.STOPPED, "release", "!teleoperate device")
 
 
 def test_the_needle_follows_again_once_the_clutch_was_opened():
@@ -176,7 +165,7 @@ def test_a_device_without_velocity_drives_the_needle_too():
         stiffness=0.0,
     )
 
-    assert depth_m[-1] == pytest.approx(0.4 * hand_m[-1], abs=1e-3)
+    assert depth_m[-1] == pytest.approx(0.4 * hand_m, abs=1e-3)
     assert not any(reasons)
 
 
@@ -195,13 +184,11 @@ def test_a_device_without_velocity_drives_the_needle_too():
 )
 def test_an_impossible_handle_sample_counts_as_none(sample):
     """A sample that no handle can have given counts as none."""
+    good = [handle(2e-5 * k, 0.02) for k in range(100)]
     forces_N = []
     for wrong in (sample, None):
-        tele = teleoperate()
-        for k in range(100):
-            good = handle(2e-5 * k, 0.02)
-            command = answer(tele, wrong if k == 50 else good, estimate(1.0))
-        forces_N.append(command.force_N)
+        samples = [*good[:50], wrong, *good[51:]]
+        forces_N.append(track(teleoperate(), samples, push(1.0))[2])
 
     assert np.abs(forces_N[0]).max() > 0.01
     assert forces_N[0].tolist() == forces_N[1].tolist()

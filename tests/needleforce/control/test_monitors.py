@@ -11,6 +11,7 @@ from tests.needleforce.control.managed_session import (
     DEVICE,
     inserting,
     new_manager,
+    play,
     run,
 )
 
@@ -67,36 +68,81 @@ def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
     assert not situation.is_moving
 
 
-def test_a_dwell_after_a_fall_that_pulls_is_a_fault():
-    manager, sensor = inserting()
-
-    assert manager.request("rupture") == ""
-    assert run(manager).state is State.DWELL
-
-    sensor.reads(sample_status=SampleStatus.NEEDLE_PULLED)
-
-    assert run(manager).state is State.FAULTED
+PULLED = {"sample_status": SampleStatus.NEEDLE_PULLED}
+EXPIRED = {"warnings": SensorWarning.TARE_EXPIRED, "message": "expired"}
+BY_HAND = ("arrived", DEVICE, 0.01, "teleoperate", 0.01)
 
 
 @pytest.mark.parametrize(
-    ("beside", "state"),
+    "steps",
     [
-        (Beside(axial_N=0.3), State.INSERTION),
+        # a dwell after a fall that pulls
+        ("rupture", State.DWELL, PULLED, State.FAULTED),
+        # The session's own pull, and a needle that outruns its force, count no more
+        # where there is an F/T sensor.
         (
+            Beside(axial_N=0.3),
+            PULLED | {"warnings": SensorWarning.TOO_FAST},
+            State.INSERTION,
             Beside(axial_N=-1.0, sample_status=SampleStatus.NEEDLE_PULLED),
             State.FAULTED,
         ),
-        (Beside(axial_N=3.0), State.STOPPED),
+        (Beside(axial_N=3.0), 5e-3, State.STOPPED),
+        # only force against the motion stops it
+        ({"axial": -2.5}, 0.1, State.INSERTION),
+        ("arrived", "withdraw", 0.01, {"axial": 2.5}, 0.1, State.WITHDRAW),
+        ("arrived", "withdraw", 0.01, {"axial": -2.5}, 0.1, State.STOPPED),
+        (*BY_HAND, {"axial": 2.5}, 0.1, State.STOPPED),
+        (*BY_HAND, {"axial": -2.5}, 0.1, State.STOPPED),
+        # A withdrawal bears the side force that has stopped the needle, and stops where
+        # it grows by the limit.
+        (
+            *({"lateral": 1.5}, 0.02, State.STOPPED, "withdraw"),
+            *({"lateral": 1.9}, 0.1, State.WITHDRAW, {"lateral": 2.1}, 0.1),
+            State.STOPPED,
+        ),
+        # A doubtful force stops an insertion, but neither a dwell nor a withdrawal.
+        (
+            *("arrived", EXPIRED, 0.01, State.DWELL, "insert", 0.01, State.STOPPED),
+            *("withdraw", 0.1, State.WITHDRAW),
+        ),
+        # A late sample is a fault until it is reset.
+        (
+            *({"dt_s": 0.029}, State.INSERTION, {"dt_s": 0.05}, State.FAULTED),
+            *(0.09, "!reset persists", 0.03, "reset", "insert"),
+        ),
+        # A tare is fitted beside the updates: the arm is watched meanwhile.
+        (
+            *("stop", "release", {"is_slow": True}, "tare", "arrived", "arrived"),
+            *(5e-3, State.TARE, {"dt_s": 2e-3}, State.TARE, {"dt_s": 0.5}),
+            State.FAULTED,
+        ),
     ],
 )
-def test_a_force_sensor_beside_counts_with_its_own_identifier(beside, state):
-    """The session's own pull, and a needle that outruns its force, count no more."""
-    manager, sensor = inserting()
-    sensor.reads(
-        sample_status=SampleStatus.NEEDLE_PULLED, warnings=SensorWarning.TOO_FAST
-    )
+def test_what_stops_a_motion_depends_on_its_state(steps):
+    play(*inserting(), *steps)
 
-    assert run(manager, 5e-3, beside).state is state
+
+@pytest.mark.parametrize(
+    ("event", "status", "change_N", "is_stopped"),
+    [
+        ("approach", Status.OK, 2.5, True),  # once tared the axial limit counts
+        ("approach", Status.OK, 1.5, False),
+        ("approach", Status.NOT_TARED, 2.5, False),
+        ("approach", Status.NOT_TARED, 16.0, True),
+        ("tare", Status.NOT_TARED, -16.0, True),
+        ("guide", Status.OK, 14.0, False),  # the hand's
+        ("guide", Status.OK, 16.0, True),
+    ],
+)
+def test_in_free_air_the_force_may_change_by_so_much(
+    event, status, change_N, is_stopped
+):
+    bias = {"tared": event == "guide", "status": status, "axial": 5.0}
+    changed = {"status": status, "axial": 5.0 + change_N}
+    situation = play(*new_manager(), bias, event, 0.01, changed, 0.01)
+
+    assert (situation.state is State.STOPPED) == is_stopped
 
 
 @pytest.mark.parametrize(
@@ -136,88 +182,6 @@ def test_a_rising_force_stops_before_it_is_there():
     assert stop_by_rise(1.0) == pytest.approx(2.0 - 0.029, abs=0.01)
     assert stop_by_rise(30.0) == pytest.approx(2.0 - 30.0 * 0.029, abs=0.06)
     assert stop_by_rise(30.0, reaction_s=0.04) == pytest.approx(0.6, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("state", "axial", "after"),
-    [
-        ("insert", -2.5, State.INSERTION),
-        ("withdraw", 2.5, State.WITHDRAW),
-        ("withdraw", -2.5, State.STOPPED),
-        ("teleoperate", 2.5, State.STOPPED),
-        ("teleoperate", -2.5, State.STOPPED),
-    ],
-)
-def test_only_force_against_the_motion_stops_it(state, axial, after):
-    manager, sensor = inserting()
-    device = DEVICE
-    manager.request("arrived")
-    run(manager, 0.01, device)
-
-    assert manager.request(state) == ""
-
-    run(manager, 0.01, device)
-    sensor.reads(axial=axial)
-
-    assert run(manager, 0.1, device).state is after
-
-
-def test_a_needle_stopped_by_a_side_force_may_come_out():
-    """The withdrawal bears that force, and stops where it grows by the limit."""
-    manager, sensor = inserting()
-    sensor.reads(lateral=1.5)
-
-    assert run(manager, 0.02).state is State.STOPPED
-    assert manager.request("withdraw") == ""
-
-    sensor.reads(lateral=1.9)
-
-    assert run(manager, 0.1).state is State.WITHDRAW
-
-    sensor.reads(lateral=2.1)
-
-    assert run(manager, 0.1).state is State.STOPPED
-
-
-def test_an_unusable_force_stops_only_advancing():
-    """A doubtful force stops an insertion, but neither a dwell nor a withdrawal."""
-    manager, sensor = inserting()
-    manager.request("arrived")
-    sensor.reads(warnings=SensorWarning.TARE_EXPIRED, message="the tare has expired")
-
-    assert run(manager, 0.01).state is State.DWELL
-    assert manager.request("insert") == ""
-    assert run(manager, 0.01).state is State.STOPPED
-    assert manager.request("withdraw") == ""
-    assert run(manager, 0.1).state is State.WITHDRAW
-
-
-@pytest.mark.parametrize(
-    ("event", "status", "change_N", "is_stopped"),
-    [
-        ("approach", Status.OK, 2.5, True),  # once tared the axial limit counts
-        ("approach", Status.OK, 1.5, False),
-        ("approach", Status.NOT_TARED, 2.5, False),
-        ("approach", Status.NOT_TARED, 16.0, True),
-        ("tare", Status.NOT_TARED, -16.0, True),
-        ("guide", Status.OK, 14.0, False),  # the hand's
-        ("guide", Status.OK, 16.0, True),
-    ],
-)
-def test_in_free_air_the_force_may_change_by_so_much(
-    event, status, change_N, is_stopped
-):
-    manager, sensor = new_manager()
-    sensor.tared = event == "guide"
-    sensor.reads(status, axial=5.0)  # a bias, perhaps
-    run(manager)
-
-    assert manager.request(event) == ""
-
-    run(manager, 0.01)
-    sensor.reads(status, axial=5.0 + change_N)
-
-    assert (run(manager, 0.01).state is State.STOPPED) == is_stopped
 
 
 @pytest.mark.parametrize(
@@ -299,40 +263,6 @@ def test_what_an_arm_did_uncommanded_does_not_count_later():
     commanded = Beside(command_rad_s=np.zeros(7))
 
     assert run(manager, 0.1, commanded, q_rad=np.ones(7)).state is State.INSERTION
-
-
-def test_a_late_sample_is_a_fault_until_it_is_reset():
-    manager, _ = inserting()
-
-    assert run(manager, dt_s=0.029).state is State.INSERTION
-
-    situation = run(manager, dt_s=0.05)
-
-    assert situation.state is State.FAULTED
-    assert "50 ms" in situation.reason
-
-    run(manager, 0.09)
-
-    assert "persists" in manager.request("reset")
-
-    run(manager, 0.03)
-
-    assert manager.request("reset") == ""
-    assert manager.request("insert") == ""
-
-
-@pytest.mark.parametrize(
-    ("late_s", "state"), [(2e-3, State.TARE), (0.5, State.FAULTED)]
-)
-def test_an_arm_that_is_lost_while_taring_is_a_fault(late_s, state):
-    """A tare is fitted beside the updates: the arm is watched meanwhile."""
-    manager, sensor = new_manager()
-    run(manager, 0.2)
-    sensor.is_slow = True
-    for event in ("tare", "arrived", "arrived"):
-        assert manager.request(event) == ""
-    assert run(manager, 5e-3).state is State.TARE
-    assert run(manager, dt_s=late_s).state is state
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2", None, True, [2.0]])

@@ -13,19 +13,16 @@ def held(at_m=(0.0, 0.0, 0.0), **hand):
 def test_the_hand_is_a_damped_spring():
     """A held force moves the hand as a damped spring does."""
     master = held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0)
-    force = 1.5
     decay = 8.0 / 4.0
-    mass = 2.0
-    rate = np.sqrt(200.0 / mass - decay**2)
-    for k in range(1500):
-        master.render((force, 0.0, 0.0))
+    rate = np.sqrt(200.0 / 2.0 - decay**2)
+    for t_s in 1e-3 * np.arange(1, 1501):
+        master.render((1.5, 0.0, 0.0))
         master.read()
-        t_s = (k + 1) * 1e-3
         swing = np.cos(rate * t_s) + decay / rate * np.sin(rate * t_s)
-        expected = force / 200.0 * (1.0 - np.exp(-decay * t_s) * swing)
-        assert master.position_m[0] == pytest.approx(expected, abs=1e-12)
+        expected_m = 1.5 / 200.0 * (1.0 - np.exp(-decay * t_s) * swing)
+        assert master.position_m[0] == pytest.approx(expected_m, abs=1e-12)
 
-    assert master.port_energy_J == pytest.approx(-force * master.position_m[0])
+    assert master.port_energy_J == pytest.approx(-1.5 * master.position_m[0])
     assert master.least_energy_J <= master.port_energy_J
 
 

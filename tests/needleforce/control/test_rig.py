@@ -55,23 +55,26 @@ def down(speed_m_s):
     return lambda t_s, rig: inverse[:, :3] @ (speed_m_s * DOWN)
 
 
+def push_arm(at, push_N, servo="stiff"):
+    """Return an arm after 0.4 s, and one that a hand has pushed meanwhile."""
+    hand = HandOnArm(at=at, force_N=lambda t_s: push_N)
+    rigs = [SimulatedArm(plant=IDEAL, servo=servo, contacts=c) for c in ((), [hand])]
+    for rig in rigs:
+        run(rig, 0.4)
+    return rigs
+
+
 @pytest.mark.parametrize("servo", ["stiff", "impedance"])
 @pytest.mark.parametrize(("at", "joint"), [("hub", 7), ("wrist", 6), ("elbow", 4)])
 def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
     """A hand loads the joints by its Jacobian, and not the F/T sensor."""
-    push = np.array([8.0, -4.0, 3.0])
-    free, held = (
-        SimulatedArm(plant=IDEAL, servo=servo, contacts=contacts)
-        for contacts in ((), [HandOnArm(at=at, force_N=lambda t_s: push)])
-    )
-    for rig in (free, held):
-        run(rig, 0.4)
-
+    push_N = np.array([8.0, -4.0, 3.0])
+    free, held = push_arm(at, push_N, servo)
     truth = held.truth
     robot = held.robot
     frame = robot.flange_frame if at == "hub" else robot.model.names[joint]
     gravity = pin.rnea(robot.model, robot.create_data(), truth.q_rad, REST, REST)
-    expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push
+    expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push_N
 
     np.testing.assert_allclose(truth.tau_Nm, expected, atol=2e-3)
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
@@ -79,26 +82,16 @@ def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
 
 def test_a_tip_force_bends_the_arm_as_expected():
     """A tip force reaches joints and F/T sensor, and bends the arm by its servo."""
-    push = np.array([2.0, 1.0, -3.0])
-    free, held = (
-        SimulatedArm(plant=IDEAL, contacts=contacts)
-        for contacts in ((), [HandOnArm(at="tip", force_N=lambda t_s: push)])
-    )
-    for rig in (free, held):
-        run(rig, 0.4)
-
+    push_N = np.array([2.0, 1.0, -3.0])
+    free, held = push_arm("tip", push_N)
     truth = held.truth
     measured_N = truth.rotation @ (held.ft_wrench - free.ft_wrench)[:3]
-
-    np.testing.assert_allclose(measured_N, push, atol=0.02)
-
     rows = jacobian(held.robot, truth.q_rad, "needle_tip")[:3]
     mass = pin.crba(held.robot.model, held.robot.create_data(), truth.q_rad)
-    compliance = rows @ np.linalg.solve(200.0**2 * mass, rows.T)
+    bent_m = rows @ np.linalg.solve(200.0**2 * mass, rows.T) @ push_N
 
-    np.testing.assert_allclose(
-        truth.tip_m - free.truth.tip_m, compliance @ push, atol=2e-6
-    )
+    np.testing.assert_allclose(measured_N, push_N, atol=0.02)
+    np.testing.assert_allclose(truth.tip_m - free.truth.tip_m, bent_m, atol=2e-6)
 
 
 WALL_N_per_m = 20e3
@@ -154,11 +147,9 @@ def test_a_trocar_pulls_across_the_needle_only(offset, along_m_s):
     sliding = tuple(along_m_s * component for component in axis)
     tip = tuple(np.add((0.1, 0.2, 0.3), offset))
     force, place = trocar.force(0.0, PointMotion(tip, axis, sliding, (0, 0, 0)))
-
-    assert abs(np.dot(force, axis)) < 1e-9
-
     expected = np.subtract(trocar.point_m, place)
 
+    assert abs(np.dot(force, axis)) < 1e-9
     np.testing.assert_allclose(force, 1000.0 * expected, atol=1e-9)
     assert distance_to_axis_m(trocar.point_m, tip, np.array(axis)) == pytest.approx(
         float(np.linalg.norm(expected)), abs=1e-12
@@ -237,17 +228,17 @@ def test_the_arm_refuses_commands_as_asked():
 def test_sensors_are_those_of_simulated_runs(plant):
     """Sensors in closed loop err as those of a run whose motion is given."""
     rig = SimulatedArm(plant=plant, seed=5, duration_s=200 * TICK_s)
-    samples = []
-    truths = []
+    rows = []
     for sample in rig:
-        samples.append(sample)
-        truths.append(rig.truth)
+        rows.append((sample, rig.truth))
         rig.send(np.full(7, 0.05))
+    samples, truths = zip(*rows, strict=True)
     seeds = np.random.SeedSequence(5).spawn(3)[1].spawn(5)
     clock, _, position, velocity, torque = map(np.random.default_rng, seeds)
-    q = np.array([truth.q_rad for truth in truths])
-    dq = np.array([truth.dq_rad_s for truth in truths])
-    tau = np.array([truth.tau_Nm for truth in truths])
+    q, dq, tau = (
+        np.array([getattr(truth, name) for truth in truths])
+        for name in ("q_rad", "dq_rad_s", "tau_Nm")
+    )
     stamps_s = sensors.time_stamps(np.arange(200) * TICK_s, plant, clock)
     torques_Nm = sensors.measured_torque(
         tau, q, rig.robot.effort_limit_Nm, plant, torque

@@ -1,8 +1,6 @@
 """Teleoperation of one-dimensional plants: passive at the hand, faithful in position
 and force."""
 
-from collections import deque
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,8 +8,8 @@ from hypothesis import strategies as st
 
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator, random_operator
-from needleforce.control import HandleWatch, SettingError
-from needleforce.control.passivity import HandPort, NeedlePort, Port, passive_fraction
+from needleforce.control import HandleReport, HandleWatch, SettingError
+from needleforce.control.passivity import HandPort, NeedlePort, Port
 from needleforce.control.teleoperation import shown_force
 from residual import Status
 from tests.needleforce.control.haptic import (
@@ -20,7 +18,9 @@ from tests.needleforce.control.haptic import (
     answer,
     estimate,
     handle,
+    push,
     teleoperate,
+    track,
 )
 
 SURFACE_M = 5e-3
@@ -38,18 +38,17 @@ def lines(delay_s, rng):
 
 def drive(plant, tele, master, seconds, rng, clutch=True, is_sent=lambda: True):
     """Drive a needle whose force is late by the observer's 14 ms; return its depth."""
-    needle = Needle()
+    master.clutch = clutch
     late_N = 0.0
-    for _ in range(round(seconds / DT)):
-        master.clutch = clutch
-        late_N += (plant(needle.depth_m, needle.speed_m_s) - late_N) / 15.0
-        noisy_N = late_N + 0.02 * rng.standard_normal()
-        session_estimate = estimate(noisy_N, None, needle.depth_m, needle.speed_m_s)
-        sample = master.read()
-        command = answer(tele, sample if is_sent() else None, session_estimate)
-        master.render(command.force_N)
-        needle.follow(command)
-    return needle.depth_m
+
+    def force_at(depth_m, speed_m_s):
+        nonlocal late_N
+        late_N += (plant(depth_m, speed_m_s) - late_N) / 15.0
+        return late_N + 0.02 * rng.standard_normal()
+
+    reads = (master.read() for _ in range(round(seconds / DT)))
+    samples = (sample if is_sent() else None for sample in reads)
+    return track(tele, samples, force_at, device=master)[0][-1]
 
 
 def advancing(speed_m_s, travel_m):
@@ -88,15 +87,8 @@ def test_energy_is_observed_where_the_encoder_is(every):
     rng = np.random.default_rng(2)
     master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)), position_step_m=0.0)
     tele = teleoperate(shown="raw")
-    count = iter(range(10**6))
-    depth_m = drive(
-        PLANTS["spring"],
-        tele,
-        master,
-        2.0,
-        rng,
-        is_sent=lambda: next(count) % every == 0,
-    )
+    sent = iter(np.arange(2000) % every == 0)
+    depth_m = drive(PLANTS["spring"], tele, master, 2.0, rng, is_sent=sent.__next__)
 
     error_J = 1e-9 if every == 1 else 1e-4
     assert tele.device.port.net_J == pytest.approx(master.port_energy_J, abs=error_J)
@@ -110,16 +102,11 @@ def test_energy_is_observed_where_the_encoder_is(every):
 def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, seed):
     rng = np.random.default_rng([seed, least])
     master = HapticMaster(random_operator(advancing(20e-3, 30e-3), rng))
-    silent = iter(())
-
-    def is_sent():
-        nonlocal silent
-        if rng.random() < chance:
-            silent = iter(range(rng.integers(least, most + 1)))
-        return next(silent, None) is None
-
+    sent = np.ones(2000, bool)
+    for start in np.flatnonzero(rng.random(2000) < chance):
+        sent[start : start + rng.integers(least, most + 1)] = False
     tele = teleoperate(lines=lines(delay_s, rng), shown="raw")
-    drive(PLANTS["wall"], tele, master, 2.0, rng, is_sent=is_sent)
+    drive(PLANTS["wall"], tele, master, 2.0, rng, is_sent=iter(sent).__next__)
 
     assert master.least_energy_J >= MIN_ENERGY_J["wall"]
 
@@ -138,27 +125,17 @@ def test_a_free_device_gains_no_energy(steps):
         assert port.net_J >= -1e-12
 
 
-def test_energy_of_a_port_counts_both_ways_apart():
-    port = Port()
-    port.observe(2.0, 0.1)
-    port.observe(2.0, -0.05)
-
-    assert (port.in_J, port.out_J, port.net_J) == pytest.approx((0.2, 0.1, 0.1))
-    assert passive_fraction(1.0, 0.25) == 0.25
-    assert passive_fraction(1.0, -1.0) == 0.0
-    assert passive_fraction(-1.0, -1.0) == 1.0
-
-
 @pytest.mark.parametrize(("travel_m", "given_m"), [(0.01, 0.0), (-0.01, 0.01)])
 def test_a_force_that_is_let_go_counts_what_it_gives_only(travel_m, given_m):
     port = HandPort()
-    for k in range(100):
-        force_N = port.update(1.0, 1e-4 * k, 0.1, 1.0, dt_s=DT, ahead_s=DT)
+    forces_N = [
+        port.update(1.0, 1e-4 * k, 0.1, 1.0, dt_s=DT, ahead_s=DT) for k in range(100)
+    ]
     before_J = port.net_J
     port.release(travel_m)
 
-    assert force_N == pytest.approx(1.0)
-    assert before_J - port.net_J == pytest.approx(force_N * given_m)
+    assert forces_N[-1] == pytest.approx(1.0)
+    assert before_J - port.net_J == pytest.approx(given_m)
 
 
 def test_unused_allowance_is_not_saved_up():
@@ -228,26 +205,19 @@ def test_the_needle_stands_when_a_quick_hand_stands(
 ):
     """Within a millimetre, an arm that is 5 ms late."""
     tele = teleoperate(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
-    commands_m_s = deque([0.0] * 5)
-    depths_m = []
-    forces_N = []
-    depth_m = speed_m_s = 0.0
-    for k in range(round((seconds + 1.5) / DT)):
-        sample = handle(*hand(k * DT, travel_m, seconds))
-        spring_N = stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)
-        move = answer(tele, sample, estimate(spring_N, None, depth_m, speed_m_s))
-        commands_m_s.append(move.speed_m_s)
-        speed_m_s = commands_m_s.popleft()
-        depth_m += DT * speed_m_s
-        depths_m.append(depth_m)
-        forces_N.append(abs(move.force_N[2]))
-    after_m = np.array(depths_m[round(seconds / DT) :])
+    times_s = DT * np.arange(round((seconds + 1.5) / DT))
+    samples = [handle(*hand(t_s, travel_m, seconds)) for t_s in times_s]
+    spring_N = lambda depth_m, speed_m_s: (  # noqa: E731
+        stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)
+    )
+    depths_m, _, forces_N, *_ = track(tele, samples, spring_N)
+    after_m = depths_m[round(seconds / DT) :]
     moving = np.flatnonzero(np.abs(np.diff(after_m)) > 2e-3 * DT)
 
     assert np.abs(after_m - after_m[0]).max() <= 1e-3
     assert moving.size == 0 or DT * moving[-1] <= 0.15
-    assert max(forces_N) <= 5.0
-    assert np.diff(forces_N).max() <= 0.5 + 1e-9
+    assert np.abs(forces_N).max() <= 5.0
+    assert np.diff(np.abs(forces_N)).max() <= 0.5 + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -256,24 +226,19 @@ def test_the_needle_stands_when_a_quick_hand_stands(
 )
 def test_a_hand_feels_that_the_needle_cannot_follow(hand_m_s, clutch, felt_N):
     """At 20 mm/s and a scale of 0.4 the needle follows a hand of 50 mm/s."""
-    tele = teleoperate(motion_scale=0.4)
-    depth_m = 0.0
-    for k in range(2000):
-        sample = handle(hand_m_s * k * DT, hand_m_s, clutch)
-        move = answer(tele, sample, estimate(0.0, depth_m=depth_m))
-        depth_m += DT * move.speed_m_s
+    samples = [handle(hand_m_s * k * DT, hand_m_s, clutch) for k in range(2000)]
 
-    assert move.force_N[2] == pytest.approx(felt_N, abs=0.05)
+    assert track(teleoperate(), samples)[2][-1] == pytest.approx(felt_N, abs=0.05)
 
 
 def test_after_a_reset_force_and_motion_are_zero():
     """Neither goes on before the device has sent."""
     tele = teleoperate()
-    for k in range(500):
-        move = answer(tele, handle(4e-5 * k, 0.04), estimate(2.0))
+    samples = [handle(4e-5 * k, 0.04) for k in range(500)]
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, push(2.0))
 
-    assert move.speed_m_s > 0.01
-    assert abs(move.force_N[2]) > 0.5
+    assert speeds_m_s[-1] > 0.01
+    assert abs(forces_N[-1]) > 0.5
 
     tele.reset()
     for dt_s in (np.nan, DT):
@@ -295,11 +260,7 @@ def test_after_a_reset_the_needle_does_not_make_up_for_the_hand(is_reset):
 
 def shown_along(tele, ticks, axial_N, **how):
     """Return what is shown over some ticks of the same estimate [N]."""
-    shown_N = []
-    for _ in range(ticks):
-        answer(tele, None, estimate(axial_N, **how))
-        shown_N.append(tele.shown_N)
-    return np.array(shown_N)
+    return track(tele, [None] * ticks, push(axial_N), **how)[3]
 
 
 def test_noise_is_hidden_ruptures_show_at_once():
@@ -342,25 +303,24 @@ def test_known_stiffness_removes_the_lag_of_force(stiffness, late_N):
 def test_motion_and_force_end_without_signals():
     """The needle stops without the device, and the force fades without estimates."""
     tele = teleoperate(lines=None)
-    for k in range(1000):
-        known = estimate(1.0, depth_m=3.2e-6 * k)
-        moving = answer(tele, handle(8e-6 * k, 8e-3), known)
+    needle = Needle()
+    force_at = push(1.0)
+    samples = [handle(8e-6 * k, 8e-3) for k in range(1000)]
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, force_at, needle)
 
-    assert moving.speed_m_s == pytest.approx(3.2e-3, rel=0.02)
-    assert moving.force_N == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+    assert speeds_m_s[-1] == pytest.approx(3.2e-3, rel=0.02)
+    assert forces_N[-1] == pytest.approx(-1.0, abs=0.02)
 
-    for _ in range(200):
-        gone = answer(tele, None, estimate(1.0, depth_m=3.2e-3))
+    _, speeds_m_s, forces_N, *_ = track(tele, [None] * 200, force_at, needle)
 
-    assert gone.speed_m_s == pytest.approx(0.0, abs=1e-4)
-    assert not gone.force_N.any()
+    assert speeds_m_s[-1] == pytest.approx(0.0, abs=1e-4)
+    assert forces_N[-1] == 0.0
 
-    unknown = estimate(1.0, depth_m=3.2e-3, status=Status.REJECTED)
-    for _ in range(1000):
-        lost = answer(tele, handle(8e-3, 8e-3), unknown)
+    samples = [handle(8e-3, 8e-3)] * 1000
+    lost_N = track(tele, samples, force_at, needle, status=Status.REJECTED)[2]
 
     # the damping of a handle that is said to move is left
-    assert abs(lost.force_N[2]) < 0.2
+    assert abs(lost_N[-1]) < 0.2
 
 
 @given(axial=st.floats(-20.0, 20.0), tip=st.floats(-20.0, 20.0))
@@ -376,15 +336,10 @@ def test_shown_force_lies_within_the_measured_one(axial, tip):
 def damping_Ns_m(tele, hz):
     """Most force per speed that a hand feels in free air, oscillating for half a
     second."""
-    z_m = 0.0
-    most_N = 0.0
-    for angle in (2.0 * np.pi * hz * DT * np.arange(500)).tolist():
-        speed_m_s = 0.02 * np.sin(angle)
-        z_m += speed_m_s * DT
-        move = answer(tele, handle(z_m, speed_m_s), estimate(0.0))
-        most_N = max(most_N, abs(move.force_N[2]))
+    speeds_m_s = 0.02 * np.sin(2.0 * np.pi * hz * DT * np.arange(500))
+    samples = map(handle, DT * np.cumsum(speeds_m_s), speeds_m_s)
 
-    return most_N / 0.02
+    return np.abs(track(tele, samples)[2]).max() / 0.02
 
 
 @pytest.mark.parametrize(
@@ -409,35 +364,29 @@ def test_late_force_is_damped_more():
 def test_without_time_passing_the_needle_stands(dt_s):
     """With a time step that does not advance the needle stands, the force stays."""
     tele = teleoperate()
-    for k in range(50):
-        last = answer(tele, handle(5e-5 * k, 0.05), estimate(2.0))
+    samples = [handle(5e-5 * k, 0.05) for k in range(50)]
+    _, speeds_m_s, forces_N, *_ = track(tele, samples, push(2.0))
     command = answer(tele, handle(2.5e-3, 0.05), estimate(2.0), dt_s)
 
-    assert last.speed_m_s > 0.0
+    assert speeds_m_s[-1] > 0.0
     assert command.speed_m_s == 0.0
-    assert command.force_N == pytest.approx(last.force_N)
-
-
-def repeat_last(packet):
-    return lambda _, dt_s: packet
+    assert command.force_N[2] == pytest.approx(forces_N[-1])
 
 
 def test_a_cut_line_stops_the_needle():
     """It follows a hand of 10 mm/s for 0.3 s, and stands 0.1 s after the last news."""
     line = DelayLine()
     tele = teleoperate(motion_scale=1.0, lines=[line, DelayLine()])
-    depth_m = 0.0
-    speeds_m_s = []
-    for k in range(1000):
-        if k == 300:
-            line.exchange = repeat_last(tele.device.update(None, None, DT))
-        command = answer(tele, handle(1e-5 * k, 0.01), estimate(depth_m=depth_m))
-        depth_m += DT * command.speed_m_s
-        speeds_m_s.append(command.speed_m_s)
+    needle = Needle()
+    samples = [handle(1e-5 * k, 0.01) for k in range(1000)]
+    followed_m_s = track(tele, samples[:300], needle=needle)[1]
+    last = tele.device.update(HandleReport(None), None, DT)
+    line.exchange = lambda packet, dt_s: last
+    cut_m_s = track(tele, samples[300:], needle=needle)[1]
 
-    assert speeds_m_s[299] == pytest.approx(0.01, rel=0.1)
-    assert speeds_m_s[380] > 1e-3
-    assert speeds_m_s[410:] == [0.0] * 590
+    assert followed_m_s[-1] == pytest.approx(0.01, rel=0.1)
+    assert cut_m_s[80] > 1e-3
+    assert not cut_m_s[110:].any()
 
 
 @pytest.mark.parametrize(
