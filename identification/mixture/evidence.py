@@ -164,8 +164,8 @@ def may_be_braking(
     fall_N = history.rupture_force_N - block.force_N
     since_s = time_s - history.rupture_s
     # No robot makes so large a fall, or so quick a one, by braking before its speed is
-    # known.
-    quick_fall = max(0.12, 1.5 * since_s)
+    # known: all of the force would be viscous, and the needle at rest within 0.4 s.
+    quick_fall = max(min(2.5 * since_s, 0.12), 1.5 * since_s)
     if since_s < block.speed_lag_s and fall_N < quick_fall * force_N:
         return True
     # Only the needle's own speed is known late.
@@ -175,12 +175,15 @@ def may_be_braking(
     speed_before = history.rupture_speed_mm_s + start_mm_s
     travel_mm = block.unfiltered_depth_mm - history.rupture_mm + end_mm - start_mm
     travelled_s = block.time_s - history.rupture_s
+    noise_mm_s = block.speed_std_mm_s
     if 0.0 < travelled_s < 0.5:
         # A filtered depth is as late as its speed, an unfiltered one is not.
         speed = min(speed, travel_mm / travelled_s)
+        noise_mm_s = max(noise_mm_s, 1.4 * block.depth_std_mm / travelled_s)
     loss = 1.0 - speed / max(speed_before, 1e-3)
     # Relative fall that braking explains, per fraction of the speed lost, less of a
     # large fall: more than 1, since the speed is late and travel shows its mean
     explained = 2.0 if fall_N > 0.3 * force_N else 3.0
-    # A smaller loss is noise of the filtered speed.
-    return loss > 0.02 and fall_N < explained * loss * force_N
+    # A smaller loss is noise of the speed, two deviations, or of the force's model.
+    least_loss = max(2.0 * noise_mm_s / max(speed_before, 1e-3), 0.02)
+    return loss > least_loss and fall_N < explained * loss * force_N
