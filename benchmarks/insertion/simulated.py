@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.insertion.detection_limit import measure_limits
 from benchmarks.insertion.methods import (
     IDENTIFIERS,
     METHODS,
@@ -56,6 +57,8 @@ def run(job: Job) -> Iterator[Figure]:
         commanded_m_s = chosen.motion.speed_m_s(truth.t_s)
         sources = identify_sources(case)
         yield from measure_and_draw(job, truth, commanded_m_s, sources)
+        ours = [item for items in sources for item in items if item.method == "ours"]
+        yield from measure_limits(run, ours)
 
 
 def measure_and_draw(
