@@ -130,7 +130,8 @@ class InsertionSession:
 
     Only forces of this tick (`Status.OK`) without a warning that makes them worthless
     (joint limit, singular pose, frozen signal, model mismatch, expired tare, wrong
-    velocity) are used for identification. In other ticks its last estimate stays and
+    velocity), and not while a jump of a torque sensor is measured or the arm is pushed,
+    are used for identification. In other ticks its last estimate stays and
     time passes: after a longer gap it reports ``TIME_GAP`` and starts its local
     predictions again.
 

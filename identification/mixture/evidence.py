@@ -164,7 +164,8 @@ def may_be_braking(
     fall_N = history.rupture_force_N - block.force_N
     since_s = time_s - history.rupture_s
     # No robot makes so large a fall, or so quick a one, by braking before its speed is
-    # known: all of the force would be viscous, and the needle at rest within 0.4 s.
+    # known. Were all of the force viscous, 2.5/s would be rest within 0.4 s and 1.5/s
+    # within 0.7 s; in between a quick stop has taken an eighth of the speed.
     quick_fall = max(min(2.5 * since_s, 0.12), 1.5 * since_s)
     if since_s < block.speed_lag_s and fall_N < quick_fall * force_N:
         return True

@@ -137,7 +137,8 @@ CUTTING_ONSET_MM = 1.0
 """Travel until a new layer's cutting force is full: a needle's diameter."""
 
 MODEL_ERROR_FRACTION = 0.03
-"""Standard deviation of this model's error, as a fraction of the tip force."""
+"""Standard deviation of this model's error, as a fraction of the force less the
+friction of the layers traversed."""
 
 MODEL_ERROR_MM = 5.0
 """Correlation length of the model's error."""

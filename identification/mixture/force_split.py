@@ -380,7 +380,7 @@ def split_force(
     if depth_m < posterior.contact_depth_m:
         return split_in_air(posterior, contact, force, 0.0)
     sliding = relax(contact, speed)
-    # A tip drawn back by a needle diameter touches nothing.
+    # A tip drawn back by a millimetre, about its diameter, touches nothing.
     if depth_m < contact.deepest_m - 1e-3:
         return split_in_channel(
             posterior, contact, sliding, layers, depth_m, force, travel

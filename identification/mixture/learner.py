@@ -3,8 +3,9 @@
 A block is taken (`take_block`) and predicted by every component (`Learner.predict`).
 Where the needle cuts, or has met no tissue yet, noise and components learn from its
 force (`learn_noise`, `correct`); elsewhere nothing does (`pause`). Then it is kept as
-the last one (`keep`). In later samples components of new events begin (`branch`), the
-least likely are dropped, and the tissue's motion is looked for (`find_motion`).
+the last one (`keep`). In later samples components of new events begin and the least
+likely are dropped (`branch_and_prune`), and the tissue's motion is looked for
+(`find_motion`).
 
 Lengths are in mm, speeds in mm/s, forces in N.
 """

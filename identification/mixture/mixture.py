@@ -2,8 +2,7 @@
 
 Each component is one hypothesis: a Kalman filter on the twenty unknowns of the force,
 with a weight. A block is a group of successive samples, usually 2 to 10 ms long, of
-which the mixture sees the means (`Block`). `learner.Learner` calls 1 to 3,
-`method.MixtureMethod` 4:
+which the mixture sees the means (`Block`). `learner.Learner` calls all four:
 
 1. `predict`, for every block: the unknowns go on by the block's time and travel.
 2. `correct` and `penalise_implausible`, unless the needle is in tissue and does not
