@@ -1,11 +1,18 @@
 """A tared sensor, the samples that come next, and what may be done to them."""
 
 import numpy as np
+import pytest
 
 from residual import DEFAULT, VirtualForceSensor
 from tests.residual.residual_signals import BIAS, external_torque_of, swing
 
 NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
+WITH_OR_WITHOUT = pytest.mark.parametrize("with_velocity", [True, False])
+
+
+def at(joint, value):
+    """A value at one joint, zero at the others."""
+    return value * (np.arange(7) == joint)
 
 
 def signals(robot, seconds, *, middle=None, noisy=True, start=0.0, amplitude=0.03):
