@@ -137,28 +137,29 @@ class Simulated(NamedTuple):
 
 def samples_of(simulated_run):
     """Which samples of the simulator's needle follow the tare, and these samples."""
-    motion = simulated_run.scenario.motion
     t_s = simulated_run.t_s
-    rows = (t_s > simulated_run.tare_end_s) & (t_s < motion.withdrawal_start_s)
-    columns = (simulated_run.depth_m, simulated_run.speed_m_s, simulated_run.force_N)
-    lists = (column[rows].tolist() for column in (*columns, t_s))
-    dt_s = float(t_s[1] - t_s[0])
-    return rows, [
-        (*motion, dt_s, time_s) for *motion, time_s in zip(*lists, strict=True)
-    ]
+    end_s = simulated_run.scenario.motion.withdrawal_start_s
+    rows = (t_s > simulated_run.tare_end_s) & (t_s < end_s)
+    motion = (simulated_run.depth_m, simulated_run.speed_m_s, simulated_run.force_N)
+    columns = np.broadcast_arrays(*motion, t_s[1] - t_s[0], t_s)
+    return rows, np.transpose(columns)[rows].tolist()
 
 
 def follow(simulated_run, identifier=None):
     """Give an identifier the samples of a run of the simulator's needle."""
     rows, samples = samples_of(simulated_run)
-    identifier, estimates = run(samples, identifier)
-    return Simulated(identifier, estimates, rows, simulated_run)
+    return Simulated(*run(samples, identifier), rows, simulated_run)
 
 
 def values_of(estimates, name):
     """A field of all estimates where it is not None."""
     values = (getattr(estimate, name) for estimate in estimates)
     return [value for value in values if value is not None]
+
+
+def numbers_of(estimates):
+    """All numbers of all estimates."""
+    return [v for estimate in estimates for v in estimate if isinstance(v, float)]
 
 
 def kept_ruptures(estimates):
@@ -178,10 +179,8 @@ def assert_both_found(identifier, estimates, *, within=0.2):
     ends_m = np.cumsum(THICKNESS_M)
     found_m = [rupture.depth_m for rupture in kept_ruptures(estimates)]
     assert found_m == pytest.approx(ends_m, abs=0.3e-3)
-    for layer, friction_N_per_m, thickness_m in zip(
-        identifier.layers, FRICTION_N_PER_M, THICKNESS_M, strict=True
-    ):
-        friction_N = friction_N_per_m * thickness_m
-        error_N = abs(layer.friction_N - friction_N)
-        assert error_N < within * friction_N
-        assert error_N < 3.0 * layer.friction_std_N + 0.03 * friction_N
+    friction_N = np.multiply(FRICTION_N_PER_M, THICKNESS_M)
+    errors_N = np.abs([layer.friction_N for layer in identifier.layers] - friction_N)
+    stds_N = np.array([layer.friction_std_N for layer in identifier.layers])
+    assert (errors_N < within * friction_N).all()
+    assert (errors_N < 3.0 * stds_N + 0.03 * friction_N).all()

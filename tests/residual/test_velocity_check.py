@@ -169,7 +169,7 @@ def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
     sensor = VirtualForceSensor(lwr, config)
     rows = changed(rows_of(*signals(lwr, 4.1)), 1, lambda dq: factor * dq)
     before = feed(sensor, rows[:4000])[-1]
-    with pytest.raises(TareError, match="^dq"):
+    with pytest.raises(TareError, match=r"^dq"):
         sensor.tare()
     sensor.tare(ignore_contact=True)
     after = feed(sensor, rows[4000:])[-1]
