@@ -52,7 +52,7 @@ def insert_onto(stiffness_N_per_m, speed_m_s=3e-3, **settings):
     stack = random_stack(np.random.default_rng(0))
     chosen = replace(stack, layers=(muscle, bone), motion=motion)
     run = insert_needle(chosen, seed=3, rate_hz=250.0)
-    estimates = follow(run, Identifier(MixtureConfig(**settings))).estimates
+    _, estimates, _ = follow(run, Identifier(MixtureConfig(**settings)))
     return values_of(estimates, "hard_contact"), estimates
 
 
@@ -141,13 +141,13 @@ def test_a_rupture_is_found_by_a_needle_that_trembles(tremor_m, delay_s):
     )
     chosen = replace(scenario("gel-25-constant"), motion=motion)
     run = insert_needle(chosen, seed=4, rate_hz=500.0)
-    result = follow(run)
-    [rupture] = values_of(result.estimates, "rupture")
+    _, estimates, rows = follow(run)
+    [rupture] = values_of(estimates, "rupture")
     tip_N, std_N, is_in_contact = np.array(
-        [(e.tip_force_N, e.tip_force_std_N, e.in_contact) for e in result.estimates]
+        [(e.tip_force_N, e.tip_force_std_N, e.in_contact) for e in estimates]
     ).T
-    is_inserted = run.t_s[result.rows] < motion.insertion_end_s
-    is_covered = np.abs(tip_N - run.truth.tip_N[result.rows]) < 2.0 * std_N
+    is_inserted = run.t_s[rows] < motion.insertion_end_s
+    is_covered = np.abs(tip_N - run.truth.tip_N[rows]) < 2.0 * std_N
 
     assert 0.0 < rupture.alarm_s - run.truth.ruptures[0].onset_s < delay_s
     assert is_covered[is_inserted & (is_in_contact == 1.0)].mean() > 0.85

@@ -112,9 +112,11 @@ def test_two_steps_of_time_and_travel_are_one_and_disturbances_become_stationary
     halves = later(later(mixture, 0.01, 0.04), 0.01, 0.04)
     variances = np.diag(later(mixture, 60.0, 300.0).covariances[0])
 
-    assert whole.means == pytest.approx(halves.means, abs=1e-12)
-    assert whole.covariances == pytest.approx(halves.covariances, abs=1e-12)
-    assert whole.state[3] == pytest.approx(halves.state[3])
+    assert (whole.means, whole.covariances, whole.state[3]) == (
+        pytest.approx(halves.means, abs=1e-12),
+        pytest.approx(halves.covariances, abs=1e-12),
+        pytest.approx(halves.state[3]),
+    )
     assert variances[[COLOURED_NOISE, HEARTBEAT, MODEL_ERROR]] == pytest.approx(
         [1e-4, 2e-4, 4e-4]
     )
@@ -154,13 +156,11 @@ def test_an_expected_force_teaches_as_kalman_says_and_a_surprise_costs_weight():
 def test_the_force_goes_on_across_an_event(seed, medium, holds_force):
     parent = component(seed, medium, holds_force=holds_force)
     ruptures = parent.assumptions["ruptures"][0]
-    mixture = branch(parent, 0.3, int(ruptures))
-    children = select(mixture, slice(1, None))
-    more = children.assumptions["ruptures"] - ruptures
+    children = select(branch(parent, 0.3, int(ruptures)), slice(1, None))
 
     assert 2 < children.size < CAPACITY
-    assert forces(children) == pytest.approx(np.repeat(forces(parent), children.size))
-    assert set(more) <= {0.0, 1.0}
+    assert forces(children) == pytest.approx(forces(parent)[0])
+    assert set(children.assumptions["ruptures"] - ruptures) <= {0.0, 1.0}
 
 
 def test_friction_of_a_layer_traversed_stays_on_the_shaft():
@@ -324,12 +324,11 @@ def learn_levels(forces_N, duration_s=0.01, speed_mm_s=2.0):
 
 
 def test_noise_is_learned_part_by_part():
-    white_N = 0.01 * np.random.default_rng(9).standard_normal(2000)
     beat_N = 0.05 * np.sin(2.0 * np.pi * 1.2 * 0.01 * np.arange(2000))
-    levels = learn_levels(white_N + beat_N)[-1]
+    levels = learn_levels(noisy(beat_N, 0.01, 9))[-1]
     has_motion = [
         each.variances.heartbeat > 0.0 or each.variances.breathing > 0.0
-        for each in learn_levels(white_N)
+        for each in learn_levels(noisy(0.0 * beat_N, 0.01, 9))
     ]
 
     assert np.sqrt(levels.variances.white) == pytest.approx(0.01, rel=0.15)
@@ -380,12 +379,10 @@ def test_texture_shows_an_error_but_no_noise_and_no_bend():
 
 
 def test_texture_that_noise_can_hide_counts():
-    white = np.random.default_rng(3).standard_normal(1000)
-    quiet_N = texture_errors(0.002 * white)[-1]
-    noisy_N = texture_errors(0.05 * white, slow_std_N=0.05)[-1]
+    quiet_N = texture_errors(noisy(np.zeros(1000), 0.002, 3))[-1]
+    loud_N = texture_errors(noisy(np.zeros(1000), 0.05, 3), slow_std_N=0.05)[-1]
 
-    assert quiet_N < 0.02
-    assert noisy_N > 5.0 * quiet_N
+    assert 5.0 * quiet_N < min(0.1, loud_N)
 
 
 def test_texture_is_a_part_of_the_force():

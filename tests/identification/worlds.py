@@ -25,13 +25,6 @@ ABOVE_M = 4e-3
 """The needle begins so far above the tissue."""
 
 
-class TrueForce(NamedTuple):
-    """The force of the tissue at a depth [N]."""
-
-    tip_N: float
-    friction_N: float
-
-
 class Row(NamedTuple):
     """A sample as `Identifier.update` takes it."""
 
@@ -42,7 +35,7 @@ class Row(NamedTuple):
 
 
 def true_force(depth_m, sliding=1.0):
-    """Tip force and friction at a depth, `sliding` as 1 when inwards at `SPEED_M_S`."""
+    """Tip force and friction [N] at a depth; `sliding` is 1 inwards at `SPEED_M_S`."""
     tip_N = 0.0
     friction_N = 0.0
     start_m = 0.0
@@ -57,7 +50,7 @@ def true_force(depth_m, sliding=1.0):
         embedded_m = min(max(inside_m, 0.0), thickness_m)
         friction_N += sliding * friction_N_per_m * embedded_m
         start_m += thickness_m
-    return TrueForce(tip_N, friction_N)
+    return tip_N, friction_N
 
 
 def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0):
@@ -86,11 +79,11 @@ def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0
                 sliding = limit + (sliding - limit) * remaining
             # Half of the friction is Coulomb's, half viscous.
             viscous = step_m / (1e-3 * SPEED_M_S)
-            force = true_force(in_tissue_m, 0.5 * sliding + 0.5 * viscous)
-            tip_N = force.tip_N if in_tissue_m >= deepest_m - 0.3e-3 else 0.0
+            tip_N, friction_N = true_force(in_tissue_m, 0.5 * sliding + 0.5 * viscous)
+            tip_N *= in_tissue_m >= deepest_m - 0.3e-3
             deepest_m = max(deepest_m, in_tissue_m)
             seen_m = depth_m + jitter_m * rng.standard_normal()
-            force_N = tip_N + force.friction_N + noise_N * rng.standard_normal()
+            force_N = tip_N + friction_N + noise_N * rng.standard_normal()
             rows.append(Row(float(seen_m), 1e3 * step_m, float(force_N), 1e-3))
     return rows
 
@@ -119,22 +112,6 @@ def run(rows, identifier=None):
     return identifier, [identifier.update(*row) for row in rows]
 
 
-class Simulated(NamedTuple):
-    """An insertion of the simulator up to its withdrawal.
-
-    Attributes:
-        identifier: After the last sample.
-        estimates: Of all samples after the tare.
-        rows: Which samples of the run these are, shape (n,).
-        run: Of the simulator, with its truth.
-    """
-
-    identifier: Identifier
-    estimates: list
-    rows: np.ndarray
-    run: object
-
-
 def samples_of(simulated_run):
     """Which samples of the simulator's needle follow the tare, and these samples."""
     t_s = simulated_run.t_s
@@ -146,9 +123,10 @@ def samples_of(simulated_run):
 
 
 def follow(simulated_run, identifier=None):
-    """Give an identifier the samples of a run of the simulator's needle."""
+    """The identifier after a run of the simulator's needle, its estimates, and which
+    samples of the run these are."""
     rows, samples = samples_of(simulated_run)
-    return Simulated(*run(samples, identifier), rows, simulated_run)
+    return *run(samples, identifier), rows
 
 
 def values_of(estimates, name):
