@@ -69,3 +69,12 @@ def pushed(robot, rows, force_N, first=0):
         (q, dq, tau - external_torque_of(robot, q, force_N) * (k >= first))
         for k, (q, dq, tau) in enumerate(rows)
     ]
+
+
+def held(values, samples, rng=None):
+    """A slower source: every value comes several times; with a generator, one time
+    more or less."""
+    more = 0 if rng is None else rng.integers(-1, 2, size=len(values))
+    lengths = np.full(len(values), samples) + more
+    first = np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return values[first[: len(values)]]

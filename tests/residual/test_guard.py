@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.insertion.signals import inverse_dynamics
 from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
 from tests.residual.guarded_sensor import (
     NOISE,
@@ -13,6 +14,7 @@ from tests.residual.guarded_sensor import (
     at,
     changed,
     feed,
+    held,
     pushed,
     rows_of,
     signals,
@@ -20,10 +22,10 @@ from tests.residual.guarded_sensor import (
 )
 from tests.residual.residual_signals import (
     MIDDLE,
+    jacobian_of,
     pose_of,
     swing,
 )
-from tests.residual.valid_motions import KINDS, held_back, sensed
 
 
 def rounded(values, resolution):
@@ -84,12 +86,12 @@ def test_a_fault_is_held_back_while_it_lasts(lwr, kind, resolution_Nm):
         sent = changed(sent, which, fault(rows), first, last)
     found = feed(sensor, sent)
     expected = set(range(first + seen_after, last))
-    held = rejected(found)
+    refused = rejected(found)
 
     assert expected <= set(rejected(found, SensorWarning[warning]))
-    assert set(held) <= set(range(first, last + 8))
+    assert set(refused) <= set(range(first, last + 8))
     assert word in found[last - 1].message
-    assert found[last - 1].axial == found[held[0] - 1].axial
+    assert found[last - 1].axial == found[refused[0] - 1].axial
     assert (found[-1].status, not found[-1].warnings) == (Status.OK, True)
     assert max(abs(e.axial) for e in found[last:]) < 0.2
 
@@ -112,10 +114,10 @@ def test_a_noisy_torque_may_jump_by_twelve_times_its_noise(lwr, sigmas, is_spike
 def test_a_change_that_stays_is_accepted(lwr, which, size, with_velocity):
     sensor, rows = tared(lwr, with_velocity=with_velocity)
     found = feed(sensor, changed(rows[:400], which, lambda x: x + at(1, size), 50))
-    held = rejected(found)
+    refused = rejected(found)
 
-    assert 1 <= len(held) <= 8
-    assert set(held) <= set(range(50, 60))
+    assert 1 <= len(refused) <= 8
+    assert set(refused) <= set(range(50, 60))
     assert (found[-1].status, Status.INITIALIZING in {e.status for e in found}) == (
         Status.OK,
         which == 0 and not with_velocity,
@@ -139,15 +141,6 @@ def test_garbage_is_not_held_back_for_ever(lwr):
 
 
 # Signals that are stuck are told from valid ones that repeat.
-
-
-def held(values, samples, rng=None):
-    """A slower source: every value comes several times; with a generator, one time
-    more or less."""
-    more = 0 if rng is None else rng.integers(-1, 2, size=len(values))
-    lengths = np.full(len(values), samples) + more
-    first = np.repeat(np.cumsum(lengths) - lengths, lengths)
-    return values[first[: len(values)]]
 
 
 SOURCES = [(lsb, noise, 1) for lsb in (0.0, 4e-3, 0.1) for noise in (0.0, 0.03)]
@@ -261,22 +254,62 @@ def test_a_long_rest_makes_no_gate_wide(lwr):
 # What an arm does is never held back.
 
 
-@WITH_OR_WITHOUT
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
+def fast_motion(robot, rng):
+    """Two seconds of sines up to each joint's velocity limit, as quick as torque
+    allows."""
+    limit_rad_s = robot.velocity_limit_rad_s
+    middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
+    # 40 rad/s2: twice what the interface of a Panda allows its joints at most.
+    quickest = 40.0 / limit_rad_s
+    omega = np.exp(rng.uniform(np.log(0.3 * quickest), np.log(quickest)))
+    phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
+    t_s = 1e-3 * np.arange(2000)[:, None]
+    while True:
+        wave = omega * t_s + phase
+        q = middle + limit_rad_s / omega * np.sin(wave)
+        dq = limit_rad_s * np.cos(wave)
+        ddq = -limit_rad_s * omega * np.sin(wave)
+        tau = inverse_dynamics(robot.model, q, dq, ddq)
+        if (np.abs(tau) < 0.9 * robot.effort_limit_Nm).all():
+            return q, dq, tau
+        omega = 0.8 * omega
+
+
+def hands(robot, rng):
+    """Pushes on the forearm of 5 to 50 N, each within 30 ms, let go within 10 ms."""
+    q, dq, tau = signals(robot, 2.0, noisy=False)
+    t_s = 1e-3 * np.arange(len(q))
+    for start_s in (0.8, 1.2, 1.6):
+        force = rng.normal(size=3)
+        force *= rng.uniform(5.0, 50.0) / np.linalg.norm(force)
+        size = np.interp(t_s - start_s, [0.0, 0.03, 0.2, 0.21], [0.0, 1.0, 1.0, 0.0])
+        for k in np.flatnonzero(size):
+            lever = jacobian_of(robot, q[k], "lwr_link_5")[:3]
+            tau[k] -= size[k] * lever.T @ force
+    return q, dq, tau
+
+
+@pytest.mark.parametrize(
+    ("motion_of", "with_velocity", "which", "size", "held_back"),
+    [
+        *((one, dq, 0, 0.0, 0) for one in (fast_motion, hands) for dq in (True, False)),
+        (fast_motion, True, 0, 0.05, 3),
+        (fast_motion, True, 2, 20.0, 3),
+    ],
+)
+def test_spikes_of_a_fast_arm_are_rejected_and_no_valid_sample(
+    lwr, motion_of, with_velocity, which, size, held_back
+):
     rng = np.random.default_rng(1)
-    motion = sensed(KINDS[kind](lwr, rng), rng)
+    q, dq, tau = (
+        value + std * rng.normal(size=value.shape)
+        for value, std in zip(motion_of(lwr, rng), NOISE.values(), strict=True)
+    )
+    rows = rows_of(q, dq if with_velocity else None, tau)
+    for k in (1500, 1600, 1700):
+        rows[k][which][2] += size
 
-    assert held_back(lwr, motion, has_velocity=with_velocity) == 0
-
-
-@pytest.mark.parametrize(("which", "size"), [(0, 0.05), (2, 20.0)])
-def test_a_spike_of_a_fast_arm_is_rejected(lwr, which, size):
-    rng = np.random.default_rng(1)
-    motion = sensed(KINDS["up to the velocity limits"](lwr, rng), rng)
-    motion[which][1500 + 100 * np.arange(3), 2] += size
-
-    assert held_back(lwr, motion, has_velocity=True) == 3
+    assert len(rejected(feed(VirtualForceSensor(lwr), rows))) == held_back
 
 
 # Velocities that are wrong for a moment.
@@ -381,8 +414,8 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
     sensor, rows = tared(lwr)
     before = feed(sensor, rows[:100])[-1]
     at_rest = sensor.residual_std_Nm
-    fast = KINDS["up to the velocity limits"](lwr, np.random.default_rng(2))
-    after = feed(sensor, rows_of(*fast))[-1]
+    fast = rows_of(*fast_motion(lwr, np.random.default_rng(2)))
+    after = feed(sensor, fast)[-1]
 
     assert (sensor.residual_std_Nm[:4] > 3.0 * at_rest[:4]).all()
     assert after.axial_std > 3.0 * before.axial_std

@@ -87,14 +87,13 @@ def test_a_force_is_read_through_a_bias_and_the_tare_does_not_fade(lwr, with_vel
 def test_the_force_of_external_torques_follows_at_once(lwr, with_velocity):
     sensor = VirtualForceSensor(lwr, replace(POINT, force_bandwidth_per_s=None))
     _, q, dq, _ = swing(lwr, seconds=1.0, amplitude=0.03)
-    noise_Nm = 0.03 * np.random.default_rng(0).normal(size=q.shape)
+    torque_Nm = BIAS + 0.03 * np.random.default_rng(0).normal(size=q.shape)
+    rows = rows_of(q, dq if with_velocity else None, torque_Nm)
     found = []
-    for k in range(1000):
+    for k, row in enumerate(pushed(lwr, rows, -FORCE_N, 500)):
         if k == 500:
             sensor.tare()
-        torque = BIAS + noise_Nm[k] + external_torque_of(lwr, q[k], FORCE_N) * (k > 499)
-        velocity = dq[k] if with_velocity else None
-        found.append(sensor.update_external_torque(q[k], velocity, torque, 1e-3))
+        found.append(sensor.update_external_torque(*row, 1e-3))
         if found[-1].status is not Status.INITIALIZING:
             late = 0 if with_velocity else 10
             np.testing.assert_allclose(sensor.velocity_rad_s, dq[k - late], atol=2e-3)
@@ -171,12 +170,12 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
     needle = pose_of(lwr, MIDDLE).rotation[:, 2]
     push_Nm = external_torque_of(lwr, MIDDLE, -2.0 * needle)
-    noise_Nm = 0.02 * np.random.default_rng(0).normal(size=(4000, 7))
+    torque_Nm = 0.02 * np.random.default_rng(0).normal(size=(4000, 7))
+    torque_Nm[3000:] += push_Nm
     found = []
-    for k, torque in enumerate(noise_Nm):
+    for k, torque in enumerate(torque_Nm):
         if k == 1000:
             sensor.tare()
-        torque = torque + push_Nm * (k >= 3000)
         found.append(sensor.update_external_torque(MIDDLE, None, torque, 1e-3))
     still = found[1500:3000]
     smooth, rough, across, std = (
@@ -285,16 +284,20 @@ def test_numbers_may_come_in_any_layout_and_are_not_kept(lwr, kind, with_velocit
         assert same(found, (twin.update(*row, np.float64(1e-3)), twin.velocity_rad_s))
 
 
+@pytest.mark.parametrize(
+    "stamps_s", [np.arange(1001) * 1e-3, 1.7e9 + np.arange(1001) / 1000]
+)
 @WITH_OR_WITHOUT
-def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
-    sensor, rows = tared(lwr, with_velocity=with_velocity)
-    expected = [e.axial for e in feed(sensor, rows)]
-    for stamps_s in (np.arange(1001) * 1e-3, 1.7e9 + np.arange(1001) / 1000):
-        sensor, _ = tared(lwr, with_velocity=with_velocity)
-        steps_s = np.diff(stamps_s).tolist()
-        found = [sensor.update(*row, dt) for row, dt in zip(rows, steps_s, strict=True)]
-        assert [e.axial for e in found] == pytest.approx(expected, abs=1e-4)
-        assert {e.status for e in found} == {Status.OK}
+def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity, stamps_s):
+    (sensor, rows), (twin, _) = (
+        tared(lwr, with_velocity=with_velocity) for _ in range(2)
+    )
+    pairs = zip(rows, np.diff(stamps_s).tolist(), strict=True)
+    found = [sensor.update(*row, dt_s) for row, dt_s in pairs]
+
+    assert [(e.status, e.axial) for e in found] == [
+        (Status.OK, pytest.approx(e.axial, abs=1e-4)) for e in feed(twin, rows)
+    ]
 
 
 # What it cannot use is reported, and never used.
@@ -353,6 +356,11 @@ def test_what_is_no_measurement_is_reported_and_never_used(lwr, word, with_veloc
         for which in (0, 1, 2) if with_velocity else (0, 2):
             bad = {which: value}, 1e-3, "" if word == "reaches" else word
             assert reports(lwr, *bad, with_velocity=with_velocity)
+
+
+@pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
+def test_a_clock_set_forward_is_reported_once(lwr, dt_s):
+    assert reports(lwr, {}, dt_s, "clock")
 
 
 @pytest.mark.parametrize("dt_s", NO_STEP, ids=range(len(NO_STEP)))
@@ -504,14 +512,6 @@ def test_a_sensor_says_what_it_knows_all_its_life(lwr, story):
         assert (found.status, found.warnings) == (status, warning)
         assert word in found.message
         assert sensor.tared == (status is Status.OK) or found.status is Status.REJECTED
-
-
-@pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
-def test_a_clock_set_forward_is_reported_once(lwr, dt_s):
-    (sensor, rows), (twin, _) = (tared(lwr) for _ in range(2))
-
-    assert "clock" in sensor.update(*rows[0], dt_s).message
-    assert same(sensor.update(*rows[1], 2e-3), twin.update(*rows[1], 2e-3))
 
 
 # Settings and snapshots.
