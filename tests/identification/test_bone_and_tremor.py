@@ -21,12 +21,6 @@ STEP_MM = 0.02
 
 def insert_onto(stiffness_N_per_m, speed_m_s=3e-3, **settings):
     """An insertion through muscle onto something, up to 8 N more."""
-    friction = ShaftFriction.calibrated(
-        force_N_per_m=10.0,
-        reference_speed_m_s=3e-3,
-        coulomb_fraction=0.6,
-        presliding_m=0.3e-3,
-    )
     muscle = Layer(
         name="muscle",
         thickness_m=BONE_DEPTH_M,
@@ -35,7 +29,12 @@ def insert_onto(stiffness_N_per_m, speed_m_s=3e-3, **settings):
         stiffening=0.1,
         release_m=0.3e-3,
         relaxed_fraction=0.4,
-        friction=friction,
+        friction=ShaftFriction.calibrated(
+            force_N_per_m=10.0,
+            reference_speed_m_s=3e-3,
+            coulomb_fraction=0.6,
+            presliding_m=0.3e-3,
+        ),
     )
     bone = replace(
         muscle,
@@ -157,6 +156,12 @@ DT_S = 2e-3
 MEAN_M_S = 3e-3
 
 
+def swings(speeds_m_s):
+    """Whether a swing ends, and whether the needle swings, sample by sample."""
+    swing = NeedleSwing(mean_m_s=MEAN_M_S, smoothed_m_s=MEAN_M_S)
+    return [(update_swing(swing, v, DT_S), swing.is_swinging) for v in speeds_m_s]
+
+
 def swinging(rate_hz, amplitude_m_s, *, noise_m_s=0.0):
     """Whether the needle swings, sample by sample, and how many swings have ended.
 
@@ -165,10 +170,7 @@ def swinging(rate_hz, amplitude_m_s, *, noise_m_s=0.0):
     t_s = DT_S * np.arange(1_500)
     wave = np.sin(2.0 * np.pi * rate_hz * t_s) * (t_s < 2.0)
     noise = noise_m_s * np.random.default_rng(0).normal(size=len(t_s))
-    speeds_m_s = MEAN_M_S + amplitude_m_s * wave + noise
-    swing = NeedleSwing(mean_m_s=MEAN_M_S, smoothed_m_s=MEAN_M_S)
-    pairs = [(update_swing(swing, v, DT_S), swing.is_swinging) for v in speeds_m_s]
-    ends, is_swinging = np.array(pairs).T
+    ends, is_swinging = np.array(swings(MEAN_M_S + amplitude_m_s * wave + noise)).T
     return is_swinging, ends.sum()
 
 
@@ -207,10 +209,7 @@ def test_what_is_a_tremor(rate_hz, amplitude_m_s, noise_m_s, fraction):
     ],
 )
 def test_twelve_turns_in_a_row_are_a_swing(halves_s, is_swinging):
-    swing = NeedleSwing(mean_m_s=MEAN_M_S, smoothed_m_s=MEAN_M_S)
-    for number, half_s in enumerate(halves_s):
-        speed_m_s = MEAN_M_S + (-4e-3 if number % 2 else 4e-3)
-        for _ in range(round(half_s / DT_S)):
-            update_swing(swing, speed_m_s, DT_S)
+    ticks = np.rint(np.divide(halves_s, DT_S)).astype(int)
+    signs = np.repeat((-1.0) ** np.arange(len(ticks)), ticks)
 
-    assert swing.is_swinging == is_swinging
+    assert swings(MEAN_M_S + 4e-3 * signs)[-1][1] == is_swinging

@@ -30,10 +30,14 @@ def insert(fault_N, end=TICKS, force_std_N=0.0):
     return run((*row, None, force_std_N) for row in rows)[1]
 
 
+def events(estimates, name):
+    """Samples with an event of that name."""
+    return [k for k, e in enumerate(estimates) if getattr(e, name) is not None]
+
+
 def alarms(estimates):
     """Samples with an alarm that is not retracted within half a second."""
-    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
-    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+    raised, retracted = (events(estimates, name) for name in ("rupture", "retracted"))
     return [k for k in raised if not any(0 < n - k <= 250 for n in retracted)]
 
 
@@ -78,8 +82,7 @@ def test_a_push_that_leaves_a_plausible_force_is_retracted_once_the_hand_lets_go
     k = np.arange(TICKS)
     push_N = -1.05 * ((k >= 3_500) & (k < 4_000))
     estimates = insert(push_N, 4_200, force_std_N=0.25)
-    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
-    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+    raised, retracted = (events(estimates, name) for name in ("rupture", "retracted"))
 
     assert 3_500 < raised[-1] < 3_550
     assert 4_000 < retracted[-1] < 4_020
@@ -235,9 +238,8 @@ def test_what_changes_the_force_at_rest(force_at, seconds, settings, is_foreign)
 )
 def test_a_force_that_jumps_at_a_resting_needle_is_reported(change_N, is_foreign):
     rows = straight(seed=2)[:3_500]
-    identifier, _ = run(rows)
     forces_N = noisy(0.5 + change_N * (np.arange(2_000) > 1_500), 5e-3, 4)
-    _, estimates = run(rows_of(rows[-1].depth_m, 0.0, forces_N, 1e-3), identifier)
+    _, estimates = run(rows + rows_of(rows[-1].depth_m, 0.0, forces_N, 1e-3))
 
     assert bool(reported(estimates)) == is_foreign
 

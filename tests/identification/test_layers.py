@@ -58,8 +58,9 @@ def test_two_layers_are_found_reported_twice_and_split_within_their_deviations(s
         std_N = np.array(values_of(estimates[6000:], f"{name}_std_N"))
         assert np.mean(np.abs(force_N - truth_N) < 2.0 * std_N + 5e-3) > 0.9
     last = estimates[-1]
-    none_N = pytest.approx(0.0, abs=0.1)
-    assert (last.layer, last.tip_force_N, last.enhanced_force_N) == (3, none_N, none_N)
+    assert (last.layer, last.tip_force_N, last.enhanced_force_N) == pytest.approx(
+        (3, 0.0, 0.0), abs=0.1
+    )
     # One speed does not show how much of the friction stays at rest.
     braking = estimates[-200]
     assert braking.shaft_friction_std_N < 0.1 * braking.shaft_friction_N
@@ -181,8 +182,7 @@ def test_a_gap_in_time_is_no_rupture_and_how_long_it_is_a_setting(gap_s, status)
 def test_withdrawal_meets_friction_only_and_ends_in_free_air():
     rows = insertion([(40e-3, 10.0), (-44e-3, 8.0)], seed=6)
     identifier, estimates = run(rows)
-    pairs = zip(estimates, rows, strict=True)
-    outwards = [pair for pair in pairs if pair[1].speed_m_s < 0.0][1000:]
+    outwards = list(zip(estimates, rows, strict=True))[11_000:]
     estimates = [estimate for estimate, _ in outwards]
     errors_N = [row.force_N - estimate.predicted_force_N for estimate, row in outwards]
     layers = {

@@ -89,14 +89,14 @@ def select(mixture, rows):
 
 def forces(mixture):
     """Force that each component predicts at `BLOCK`, shape (n,)."""
-    rows = np.array([regressor(each, BLOCK) for each in mixture.assumptions])
+    rows = [regressor(each, BLOCK) for each in mixture.assumptions]
     return np.einsum("ni,ni->n", rows, mixture.means)
 
 
 def ends(mixture):
     """Which components have just left the layer, and hold no force."""
-    has_ended = mixture.assumptions["ruptures"] == 2.0
-    return has_ended & (mixture.assumptions["holds_force"] == 0.0)
+    assumed = mixture.assumptions
+    return (assumed["ruptures"] == 2.0) & (assumed["holds_force"] == 0.0)
 
 
 def later(mixture, duration_s, travel_mm):

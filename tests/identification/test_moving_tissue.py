@@ -55,14 +55,14 @@ def test_motion_and_ruptures_are_found_in_tissue_that_moves(waves, hz):
     simulated = moving(waves)
     rupture_s = simulated.truth.ruptures[0].onset_s
     _, samples = samples_of(simulated)
-    begin_s = samples[0][-1] - 1e-3
     cut = sum(time_s < rupture_s for *_, time_s in samples)
     identifier, before = run(samples[:cut])
     fit = identifier.snapshot().state.learner.tissue.fit
     _, after = run(samples[cut:], identifier)
     times_s = np.linspace(0.0, 1.0 / hz, 50)
     place_mm, _ = displacement(fit.beats, times_s)
-    true_mm = 1e3 * TrueMotion(waves=waves).at(begin_s + fit.at_s + times_s)[0]
+    begin_s = samples[0][-1] - 1e-3 + fit.at_s
+    true_mm = 1e3 * TrueMotion(waves=waves).at(begin_s + times_s)[0]
     late_s = [r.alarm_s - rupture_s for r in values_of(before + after, "rupture")]
     (near_s,) = (delay_s for delay_s in late_s if abs(delay_s) < 3.0)
 
@@ -94,15 +94,14 @@ def test_a_heartbeat_and_one_that_ends_hide_no_rupture(end_s):
 
 @pytest.mark.slow
 def test_an_insertion_resumes_in_moving_tissue():
-    simulated = moving(HEART, seed=7)
-    columns = (simulated.depth_m, simulated.speed_m_s, simulated.force_N)
-    rows = rows_of(*columns, 1e-3)[13_000:27_000]
-    first, _ = run(rows[:12_000])
+    _, rows = samples_of(moving(HEART, seed=7))
+    first, _ = run(rows[:16_000])
     second = Identifier()
     second.restore(first.snapshot())
 
     assert first.snapshot().state.learner.tissue.is_known
-    assert run(rows[12_000:], second)[1] == run(rows[12_000:], first)[1]
+    later = rows[16_000:18_000]
+    assert run(later, second)[1] == run(later, first)[1]
 
 
 @pytest.mark.slow

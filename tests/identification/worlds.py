@@ -73,10 +73,8 @@ def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0
             depth_m = depth_m + step_m
             t_s = t_s + 1e-3
             in_tissue_m = depth_m - (motion_m(t_s) if motion_m else 0.0)
-            if step_m:
-                limit = np.sign(step_m)
-                remaining = np.exp(-abs(step_m) / 0.3e-3)
-                sliding = limit + (sliding - limit) * remaining
+            limit = np.sign(step_m)
+            sliding = limit + (sliding - limit) * np.exp(-abs(step_m) / 0.3e-3)
             # Half of the friction is Coulomb's, half viscous.
             viscous = step_m / (1e-3 * SPEED_M_S)
             tip_N, friction_N = true_force(in_tissue_m, 0.5 * sliding + 0.5 * viscous)
