@@ -43,13 +43,9 @@ def rejected(estimates, warning=SensorWarning(0)):  # noqa: B008
 # One sample, or a lasting change.
 
 
-def onto(value):
-    return lambda _: value
-
-
 LIMIT_NM = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
-FROZEN_TAU = {2: lambda rows: onto(rows[99][2])}
-FROZEN_Q = {0: lambda rows: onto(rows[99][0]), 1: lambda rows: onto(rows[99][1])}
+FROZEN_TAU = {2: lambda rows: lambda _: rows[99][2]}
+FROZEN_Q = {which: lambda rows, k=which: lambda _: rows[99][k] for which in (0, 1)}
 FAULTS = {
     "position": (
         {0: lambda _: lambda q: q + at(2, 0.02)},
