@@ -19,6 +19,9 @@ def state_of(order="C"):
     return MomentumState(rows, np.zeros(0), started=True)
 
 
+SEALED = seal_state(state_of(), "observer")
+
+
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_a_state_comes_back_with_bits_and_order(order, tmp_path):
     path = tmp_path / "a.state"
@@ -43,14 +46,10 @@ def test_what_is_no_state_is_neither_written_nor_read(value, tmp_path):
 
     path = tmp_path / "a.state"
     data = pickle.dumps(value)
-    head = seal_state(state_of(), "observer").split(b" ")[:3]
     digest = hashlib.sha256(data).hexdigest().encode()
-    path.write_bytes(b" ".join((*head, digest)) + b"\n" + data)
+    path.write_bytes(b" ".join((*SEALED.split(b" ")[:3], digest)) + b"\n" + data)
     with pytest.raises(StateError):
         read_sealed_state(path, KINDS)
-
-
-SEALED = seal_state(state_of(), "observer")
 
 
 @pytest.mark.parametrize(

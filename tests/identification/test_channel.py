@@ -31,53 +31,54 @@ def channel_of_ten_millimetres():
 def test_friction_at_a_speed_is_as_uncertain_as_its_parts_together():
     rng = np.random.default_rng(0)
     covariance = [[0.04, -0.008], [-0.008, 0.0025]]  # Coulomb and viscous
-    coulomb_N, viscous = rng.multivariate_normal((0.5, 0.1), covariance, 100_000).T
+    parts = rng.multivariate_normal((0.5, 0.1), covariance, 100_000)
     offset_N = rng.normal(0.0, 0.05, 100_000)
     friction = ChannelFriction(0.04, -0.008, 0.0025, 0.05**2)
 
     for speed_mm_s in (0.0, 2.0, 6.0):
-        drawn_N = coulomb_N + viscous * speed_mm_s + offset_N
-        variance_N2 = friction.variance_at(1e-3 * speed_mm_s)
-        assert variance_N2 == pytest.approx(np.var(drawn_N), rel=0.03)
+        drawn_N = parts @ [1.0, speed_mm_s] + offset_N
+        assert friction.variance_at(1e-3 * speed_mm_s) == pytest.approx(
+            np.var(drawn_N), rel=0.03
+        )
+
+
+def in_channel_from(zero_N, moved_m):
+    """The channel a minute later, with another zero of force and of depth."""
+    present = in_air(zero_N).snapshot()
+    return continue_channel(channel_of_ten_millimetres(), present, moved_m, 60.0)
+
+
+def in_channel(zero_N):
+    """The last estimate, 2.2 mm in the channel, with a force of that mean in air."""
+    identifier = Identifier()
+    identifier.restore(in_channel_from(zero_N, 0.0))
+    depth_m = -1e-3 + SPEED_M_S * STEP_S * np.arange(200)
+    force_N = zero_N + 40.0 * np.maximum(depth_m, 0.0)
+    rows = rows_of(depth_m, SPEED_M_S, force_N, STEP_S)
+    return run(rows, identifier)[1][-1]
 
 
 @pytest.mark.parametrize("zero_N", [0.3, -0.3])
 def test_a_zero_that_has_drifted_changes_no_friction_in_the_channel(zero_N):
-    found = []
-    for drift_N in (0.0, zero_N):
-        identifier = Identifier()
-        present = in_air(drift_N).snapshot()
-        identifier.restore(
-            continue_channel(channel_of_ten_millimetres(), present, 0.0, 60.0)
-        )
-        depth_m = -1e-3 + SPEED_M_S * STEP_S * np.arange(200)
-        force_N = drift_N + 40.0 * np.maximum(depth_m, 0.0)
-        rows = rows_of(depth_m, SPEED_M_S, force_N, STEP_S)
-        found.append(run(rows, identifier)[1][-1])
-    as_before, drifted = found
+    drifted = in_channel(zero_N)
+    as_before = in_channel(0.0)
+    forces_N = drifted.shaft_friction_N, drifted.predicted_force_N - zero_N
 
     assert drifted.layer == as_before.layer == 1
-    assert drifted.shaft_friction_N == pytest.approx(
-        as_before.shaft_friction_N, abs=0.01
-    )
-    assert drifted.predicted_force_N - zero_N == pytest.approx(
-        as_before.predicted_force_N, abs=0.01
+    assert forces_N == pytest.approx(
+        (as_before.shaft_friction_N, as_before.predicted_force_N), abs=0.01
     )
 
 
 def test_a_channel_is_where_it_was_when_depth_counts_from_elsewhere():
-    moved_m = 0.02
-    channel = channel_of_ten_millimetres()
     identifier = Identifier()
-    identifier.restore(channel)
-    entry_m = identifier.contact_depth_m
-    present = in_air(0.0).snapshot()
-    identifier.restore(continue_channel(channel, present, moved_m, 60.0))
+    identifier.restore(channel_of_ten_millimetres())
+    entry_m = 0.02 + identifier.contact_depth_m
+    identifier.restore(in_channel_from(0.0, 0.02))
 
-    assert identifier.contact_depth_m == pytest.approx(entry_m + moved_m, abs=1e-9)
+    assert identifier.contact_depth_m == pytest.approx(entry_m, abs=1e-9)
 
-    depths_m = moved_m + entry_m + SPEED_M_S * STEP_S * np.arange(-60, 61)
+    depths_m = entry_m + SPEED_M_S * STEP_S * np.arange(-60, 61)
     _, estimates = run(rows_of(depths_m, SPEED_M_S, 0.0, STEP_S), identifier)
 
-    assert estimates[30].layer == 0
-    assert estimates[-1].layer == 1
+    assert (estimates[30].layer, estimates[-1].layer) == (0, 1)

@@ -20,7 +20,7 @@ from identification import (
 )
 from identification.config import CheckConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
-from tests.identification.worlds import rows_of, run
+from tests.identification.worlds import numbers_of, rows_of, run
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -81,11 +81,14 @@ def test_a_bad_sample_is_reported_and_not_used(config):
             warnings.simplefilter("error")
             bad = identifier.update(*GOOD[:place], value, *GOOD[place + 1 :])
 
-        assert bad.status is status, (place, value)
-        assert pickle.dumps(identifier.snapshot().state) == state
-        assert bad.enhanced_force_N == good.enhanced_force_N
         # A missing force does not shift the clock of what follows.
-        assert bad.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
+        time_s = pytest.approx(1e-3 if place == 3 else 2e-3)
+        assert (bad.status, bad.enhanced_force_N, bad.time_s) == (
+            status,
+            good.enhanced_force_N,
+            time_s,
+        ), (place, value)
+        assert pickle.dumps(identifier.snapshot().state) == state
         if status is not SampleStatus.DEPTH_JUMP:
             assert identifier.update(*GOOD).status is SampleStatus.OK
 
@@ -106,14 +109,12 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
 def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
     k = np.arange(300)
     steps_s = np.where(k % 3, dt_s, 1e-3)
-    _, estimates = run(
-        rows_of(1e-5 * k, 0.01, 0.1 + 1e-3 * k, steps_s), Identifier(config)
-    )
+    rows = rows_of(1e-5 * k, 0.01, 0.1 + 1e-3 * k, steps_s)
+    _, estimates = run(rows, Identifier(config))
+    statuses = ["OK", "TIME_RANGE", "TIME_RANGE"]
 
-    statuses = (SampleStatus.OK, SampleStatus.TIME_RANGE, SampleStatus.TIME_RANGE)
-    assert [estimate.status for estimate in estimates] == 100 * [*statuses]
-    numbers = [v for estimate in estimates for v in estimate if isinstance(v, float)]
-    assert np.isfinite(numbers).all()
+    assert [estimate.status.name for estimate in estimates] == 100 * statuses
+    assert np.isfinite(numbers_of(estimates)).all()
     assert estimates[-1].time_s == pytest.approx(0.1)
 
 
@@ -121,11 +122,9 @@ def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
     "std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400]
 )
 def test_an_impossible_deviation_counts_as_not_stated(std):
-    with_std = Identifier()
-    without = Identifier()
-    for k in range(300):
-        row = (1e-5 * k, 1e-2, 0.01 * (k % 3), 1e-3, 0.001 * k)
-        assert with_std.update(*row, std) == without.update(*row)
+    rows = [(1e-5 * k, 1e-2, 0.01 * (k % 3), 1e-3, 0.001 * k) for k in range(300)]
+
+    assert run((*row, std) for row in rows)[1] == run(rows)[1]
 
 
 def one_layer(contact_m=0.0):
@@ -140,16 +139,16 @@ def test_events_are_on_the_clock_of_the_caller():
     rows = one_layer(2e-3)
     times_s = [5e4 + 1e-3 * k for k in range(len(rows))]
     summed, own = run(rows)
-    stamped = zip(rows, times_s, strict=True)
-    absolute, callers = run((*row, time_s) for row, time_s in stamped)
-    own_rupture = summed.layers[0].rupture
-    callers_rupture = absolute.layers[0].rupture
+    stamped, callers = run((*row, t_s) for row, t_s in zip(rows, times_s, strict=True))
+    own_rupture, callers_rupture = (
+        each.layers[0].rupture for each in (summed, stamped)
+    )
 
     assert [e.time_s for e in own] == pytest.approx(np.arange(1, 9_001) * 1e-3)
     assert [e.time_s for e in callers] == times_s
-    for name in ("time_s", "alarm_s"):
-        later_s = getattr(callers_rupture, name) - getattr(own_rupture, name)
-        assert later_s == pytest.approx(5e4 - 1e-3)
+    assert (callers_rupture.time_s, callers_rupture.alarm_s) == pytest.approx(
+        (own_rupture.time_s + 5e4 - 1e-3, own_rupture.alarm_s + 5e4 - 1e-3), abs=1e-6
+    )
     assert callers_rupture.depth_m == own_rupture.depth_m
 
 
@@ -159,31 +158,34 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
     identifier.update(0.0, 0.0, 0.0, 1e-3, 7.0)
     rejected = identifier.update(0.0, 0.0, 0.0, 1e-3, time_s)
 
-    assert not rejected.status.is_used
-    assert rejected.time_s == 7.0
-    assert identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0)).time_s == 8.0
+    accepted = identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0))
+
+    assert (rejected.status.is_used, rejected.time_s) == (False, 7.0)
+    assert accepted.time_s == 8.0
 
 
 @pytest.mark.parametrize("config", [MIXTURE, replace(PUBLISHED, contact_depth_m=3e-3)])
 def test_events_count_depth_from_the_callers_zero(config):
     rows = one_layer(3e-3)
     moved_rows = rows[:501] + [r._replace(depth_m=r.depth_m + 0.05) for r in rows[501:]]
-    plain, _ = run(rows, Identifier(config))
-    moved, _ = run(moved_rows, Identifier(config))
+    plain, moved = (run(each, Identifier(config))[0] for each in (rows, moved_rows))
     (layer,) = plain.layers
     (moved_layer,) = moved.layers
     by_m = [
-        getattr(moved_layer.rupture, name) - getattr(layer.rupture, name)
-        for name in ("depth_m", "contact_depth_m", "alarm_depth_m")
+        moved_layer.rupture.depth_m - layer.rupture.depth_m,
+        moved_layer.rupture.contact_depth_m - layer.rupture.contact_depth_m,
+        moved_layer.rupture.alarm_depth_m - layer.rupture.alarm_depth_m,
+        moved_layer.start_depth_m - layer.start_depth_m,
+        moved_layer.thickness_m - layer.thickness_m,
     ]
-    by_m.append(moved_layer.start_depth_m - layer.start_depth_m)
-    if config is MIXTURE:
-        assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
-        by_m.append(moved.contact_depth_m - plain.contact_depth_m)
 
     # Blocks begin elsewhere after the jump.
-    assert by_m == pytest.approx([0.05] * len(by_m), abs=5e-5)
-    assert moved_layer.thickness_m == pytest.approx(layer.thickness_m, abs=5e-5)
+    assert by_m == pytest.approx([0.05] * 4 + [0.0], abs=5e-5)
+    if config is MIXTURE:
+        assert (plain.contact_depth_m, moved.contact_depth_m) == (
+            pytest.approx(3e-3, abs=0.5e-3),
+            pytest.approx(plain.contact_depth_m + 0.05, abs=5e-5),
+        )
 
 
 def statuses_of(rows):
@@ -204,25 +206,16 @@ ADVANCE = [(8e-6 * k, 8e-3, 1e-3) for k in range(500)]
         # Travel before a gap ends is none; in a gap only a new zero jumps.
         ([*ADVANCE, (8e-3, 0.0, 1.0), (8e-3, 0.0, 1e-3)], "TIME_GAP", 8e-3),
         ([*REST, (8e-3, 0.0, 3.0), (8e-3, 0.0, 1e-3)], "TIME_GAP", 8e-3),
+        # A gap makes no gap usual.
+        ([*REST, (0.0, 0.0, 100.0), *REST, (0.0, 0.0, 10.0), REST[0]], "TIME_GAP", 0.0),
         ([*REST, (0.5, 0.0, 3.0), (0.5, 0.0, 1e-3)], "DEPTH_JUMP", 0.0),
     ],
 )
 def test_a_jump_of_depth_is_removed_and_a_gap_is_none(rows, status, depth_m):
     statuses, seen_m = statuses_of(rows)
 
-    assert statuses[-2] is SampleStatus[status]
-    assert statuses[-1].is_used
+    assert (statuses[-2], statuses[-1].is_used) == (SampleStatus[status], True)
     assert seen_m == pytest.approx(depth_m, abs=2e-5)
-
-
-def test_a_gap_makes_no_gap_usual():
-    intervals_s = (*[1e-3] * 50, 100.0, *[1e-3] * 20, 10.0)
-    statuses, _ = statuses_of([(0.0, 0.0, dt_s) for dt_s in intervals_s])
-
-    assert [s for s in statuses if s is not SampleStatus.OK] == [
-        SampleStatus.TIME_GAP,
-        SampleStatus.TIME_GAP,
-    ]
 
 
 def test_wrong_speed_sign_is_reported_and_time_passes():
@@ -230,12 +223,11 @@ def test_wrong_speed_sign_is_reported_and_time_passes():
     speed_m_s = np.where((k >= 500) & (k < 3_000), -0.002, 0.002)
     _, estimates = run(rows_of(2e-6 * k, speed_m_s, 0.0, 1e-3))
     statuses = [estimate.status for estimate in estimates]
-    after = statuses[::-1].index(SampleStatus.SPEED_SIGN)
+    after = len(statuses) - statuses[::-1].index(SampleStatus.SPEED_SIGN)
+    gaps = [k for k, each in enumerate(statuses) if each is SampleStatus.TIME_GAP]
 
     assert statuses.count(SampleStatus.SPEED_SIGN) > 2000
-    assert statuses[-after] is SampleStatus.TIME_GAP
-    assert statuses.count(SampleStatus.TIME_GAP) == 1
-    assert SampleStatus.DEPTH_JUMP not in statuses
+    assert (gaps, SampleStatus.DEPTH_JUMP in statuses) == ([after], False)
     assert estimates[-1].time_s == pytest.approx(3.5)
 
 
@@ -247,10 +239,9 @@ def test_time_passes_over_jumps_of_depth(jumps, after):
     statuses, _ = statuses_of(
         [(z + 2e-6 * k, 0.002, 1e-3) for k, z in enumerate(places)]
     )
+    jumped = [SampleStatus.DEPTH_JUMP] * jumps
 
-    assert statuses[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
-    assert statuses[100 + jumps] is after
-    assert set(statuses[101 + jumps :]) == {SampleStatus.OK}
+    assert statuses[100:] == [*jumped, after, *[SampleStatus.OK] * (399 - jumps)]
 
 
 def test_unknown_configuration_and_foreign_snapshots_are_refused():

@@ -23,11 +23,11 @@ def samples(n=3000):
 def test_memory_is_bounded(config):
     identifier = Identifier(config)
     force_N = noisy(0.5 + 1e-5 * np.arange(18_000), 0.01, 6)
+    rows = rows_of(1e-5 * np.arange(18_000), 5e-3, force_N, 2e-3)
     sizes = []
-    for k, row in enumerate(rows_of(1e-5 * np.arange(18_000), 5e-3, force_N, 2e-3)):
-        identifier.update(*row)
-        if k % 3000 == 2999:
-            sizes.append(len(pickle.dumps(identifier.snapshot())))
+    for first in range(0, 18_000, 3000):
+        run(rows[first : first + 3000], identifier)
+        sizes.append(len(pickle.dumps(identifier.snapshot())))
 
     assert max(sizes) < max(2 * sizes[2], 4096 * 7 * 10)
 
@@ -37,13 +37,11 @@ def test_memory_is_bounded(config):
 def test_every_state_resumes_bit_for_bit(config, tmp_path):
     """One of 29 from memory, and one of 203 from a file."""
     rows = samples()
-    whole = Identifier(config)
+    _, estimates = run(rows, Identifier(config))
     resumed = Identifier(config)
-    estimates = []
     kept = []
     for k, row in enumerate(rows):
-        estimates.append(whole.update(*row))
-        assert resumed.update(*row) == estimates[-1]
+        assert resumed.update(*row) == estimates[k]
         if k % 29:
             continue
         snapshot = resumed.snapshot()

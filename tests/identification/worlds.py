@@ -25,13 +25,6 @@ ABOVE_M = 4e-3
 """The needle begins so far above the tissue."""
 
 
-class TrueForce(NamedTuple):
-    """The force of the tissue at a depth [N]."""
-
-    tip_N: float
-    friction_N: float
-
-
 class Row(NamedTuple):
     """A sample as `Identifier.update` takes it."""
 
@@ -42,7 +35,7 @@ class Row(NamedTuple):
 
 
 def true_force(depth_m, sliding=1.0):
-    """Tip force and friction at a depth, `sliding` as 1 when inwards at `SPEED_M_S`."""
+    """Tip force and friction [N] at a depth; `sliding` is 1 inwards at `SPEED_M_S`."""
     tip_N = 0.0
     friction_N = 0.0
     start_m = 0.0
@@ -57,7 +50,7 @@ def true_force(depth_m, sliding=1.0):
         embedded_m = min(max(inside_m, 0.0), thickness_m)
         friction_N += sliding * friction_N_per_m * embedded_m
         start_m += thickness_m
-    return TrueForce(tip_N, friction_N)
+    return tip_N, friction_N
 
 
 def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0):
@@ -80,17 +73,15 @@ def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0
             depth_m = depth_m + step_m
             t_s = t_s + 1e-3
             in_tissue_m = depth_m - (motion_m(t_s) if motion_m else 0.0)
-            if step_m:
-                limit = np.sign(step_m)
-                remaining = np.exp(-abs(step_m) / 0.3e-3)
-                sliding = limit + (sliding - limit) * remaining
+            limit = np.sign(step_m)
+            sliding = limit + (sliding - limit) * np.exp(-abs(step_m) / 0.3e-3)
             # Half of the friction is Coulomb's, half viscous.
             viscous = step_m / (1e-3 * SPEED_M_S)
-            force = true_force(in_tissue_m, 0.5 * sliding + 0.5 * viscous)
-            tip_N = force.tip_N if in_tissue_m >= deepest_m - 0.3e-3 else 0.0
+            tip_N, friction_N = true_force(in_tissue_m, 0.5 * sliding + 0.5 * viscous)
+            tip_N *= in_tissue_m >= deepest_m - 0.3e-3
             deepest_m = max(deepest_m, in_tissue_m)
             seen_m = depth_m + jitter_m * rng.standard_normal()
-            force_N = tip_N + force.friction_N + noise_N * rng.standard_normal()
+            force_N = tip_N + friction_N + noise_N * rng.standard_normal()
             rows.append(Row(float(seen_m), 1e3 * step_m, float(force_N), 1e-3))
     return rows
 
@@ -119,46 +110,32 @@ def run(rows, identifier=None):
     return identifier, [identifier.update(*row) for row in rows]
 
 
-class Simulated(NamedTuple):
-    """An insertion of the simulator up to its withdrawal.
-
-    Attributes:
-        identifier: After the last sample.
-        estimates: Of all samples after the tare.
-        rows: Which samples of the run these are, shape (n,).
-        run: Of the simulator, with its truth.
-    """
-
-    identifier: Identifier
-    estimates: list
-    rows: np.ndarray
-    run: object
-
-
 def samples_of(simulated_run):
     """Which samples of the simulator's needle follow the tare, and these samples."""
-    motion = simulated_run.scenario.motion
     t_s = simulated_run.t_s
-    rows = (t_s > simulated_run.tare_end_s) & (t_s < motion.withdrawal_start_s)
-    columns = (simulated_run.depth_m, simulated_run.speed_m_s, simulated_run.force_N)
-    lists = (column[rows].tolist() for column in (*columns, t_s))
-    dt_s = float(t_s[1] - t_s[0])
-    return rows, [
-        (*motion, dt_s, time_s) for *motion, time_s in zip(*lists, strict=True)
-    ]
+    end_s = simulated_run.scenario.motion.withdrawal_start_s
+    rows = (t_s > simulated_run.tare_end_s) & (t_s < end_s)
+    motion = (simulated_run.depth_m, simulated_run.speed_m_s, simulated_run.force_N)
+    columns = np.broadcast_arrays(*motion, t_s[1] - t_s[0], t_s)
+    return rows, np.transpose(columns)[rows].tolist()
 
 
 def follow(simulated_run, identifier=None):
-    """Give an identifier the samples of a run of the simulator's needle."""
+    """The identifier after a run of the simulator's needle, its estimates, and which
+    samples of the run these are."""
     rows, samples = samples_of(simulated_run)
-    identifier, estimates = run(samples, identifier)
-    return Simulated(identifier, estimates, rows, simulated_run)
+    return *run(samples, identifier), rows
 
 
 def values_of(estimates, name):
     """A field of all estimates where it is not None."""
     values = (getattr(estimate, name) for estimate in estimates)
     return [value for value in values if value is not None]
+
+
+def numbers_of(estimates):
+    """All numbers of all estimates."""
+    return [v for estimate in estimates for v in estimate if isinstance(v, float)]
 
 
 def kept_ruptures(estimates):
@@ -178,10 +155,8 @@ def assert_both_found(identifier, estimates, *, within=0.2):
     ends_m = np.cumsum(THICKNESS_M)
     found_m = [rupture.depth_m for rupture in kept_ruptures(estimates)]
     assert found_m == pytest.approx(ends_m, abs=0.3e-3)
-    for layer, friction_N_per_m, thickness_m in zip(
-        identifier.layers, FRICTION_N_PER_M, THICKNESS_M, strict=True
-    ):
-        friction_N = friction_N_per_m * thickness_m
-        error_N = abs(layer.friction_N - friction_N)
-        assert error_N < within * friction_N
-        assert error_N < 3.0 * layer.friction_std_N + 0.03 * friction_N
+    friction_N = np.multiply(FRICTION_N_PER_M, THICKNESS_M)
+    errors_N = np.abs([layer.friction_N for layer in identifier.layers] - friction_N)
+    stds_N = np.array([layer.friction_std_N for layer in identifier.layers])
+    assert (errors_N < within * friction_N).all()
+    assert (errors_N < 3.0 * stds_N + 0.03 * friction_N).all()

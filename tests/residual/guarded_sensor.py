@@ -1,11 +1,18 @@
 """A tared sensor, the samples that come next, and what may be done to them."""
 
 import numpy as np
+import pytest
 
 from residual import DEFAULT, VirtualForceSensor
 from tests.residual.residual_signals import BIAS, external_torque_of, swing
 
 NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
+WITH_OR_WITHOUT = pytest.mark.parametrize("with_velocity", [True, False])
+
+
+def at(joint, value):
+    """A value at one joint, zero at the others."""
+    return value * (np.arange(7) == joint)
 
 
 def signals(robot, seconds, *, middle=None, noisy=True, start=0.0, amplitude=0.03):
@@ -62,3 +69,12 @@ def pushed(robot, rows, force_N, first=0):
         (q, dq, tau - external_torque_of(robot, q, force_N) * (k >= first))
         for k, (q, dq, tau) in enumerate(rows)
     ]
+
+
+def held(values, samples, rng=None):
+    """A slower source: every value comes several times; with a generator, one time
+    more or less."""
+    more = 0 if rng is None else rng.integers(-1, 2, size=len(values))
+    lengths = np.full(len(values), samples) + more
+    first = np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return values[first[: len(values)]]

@@ -20,11 +20,9 @@ def pose_of(robot, q, frame=None):
 def jacobian_of(robot, q, frame=None):
     """Jacobian of such a frame in base axes, shape (6, n)."""
     frame_id = robot.tool_frame_id if frame is None else robot.frame_id(frame)
-    axes = pin.LOCAL_WORLD_ALIGNED
-    found = pin.computeFrameJacobian(
-        robot.model, robot.create_data(), q, frame_id, axes
-    )
-    return found.reshape(6, -1)
+    return pin.computeFrameJacobian(
+        robot.model, robot.create_data(), q, frame_id, pin.LOCAL_WORLD_ALIGNED
+    ).reshape(6, -1)
 
 
 def gravity_of(robot, q):
@@ -45,9 +43,9 @@ def swing(
 ):
     """Times, q, dq and link-side torque of a smooth joint motion under a constant
     tip force."""
-    middle = MIDDLE if middle is None else np.asarray(middle)
+    middle = np.asarray(MIDDLE if middle is None else middle)[: robot.nv]
     force = tuple(map(float, force_at_tip_in_base))
-    made = _swing(robot, amplitude, tuple(middle[: robot.nv].tolist()), force, **span)
+    made = _swing(robot, amplitude, tuple(middle.tolist()), force, **span)
     return tuple(values.copy() for values in made)
 
 

@@ -28,19 +28,18 @@ def test_rls_equals_ridge_regression(rows):
     rls = PublishedMethod(config).state
     for row in rows:
         update_rls(rls, config, *row)
-    table = np.array(rows)
-    phi = table[:, :2]
-    f = table[:, 2]
+    phi, f = np.split(np.array(rows), [2], axis=1)
     information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
-    expected = np.linalg.solve(information, phi.T @ f)
+    expected = np.linalg.solve(information, phi.T @ f).ravel()
+    covariance = [
+        [rls.stiffness_variance, rls.covariance],
+        [rls.covariance, rls.friction_variance],
+    ]
 
     assert np.allclose((rls.stiffness, rls.friction), expected, atol=1e-8)
-
-    covariance = np.linalg.inv(information)
-
-    assert rls.stiffness_variance == pytest.approx(covariance[0, 0], abs=1e-8, rel=1e-5)
-    assert rls.covariance == pytest.approx(covariance[0, 1], abs=1e-8, rel=1e-5)
-    assert rls.friction_variance == pytest.approx(covariance[1, 1], abs=1e-8, rel=1e-5)
+    assert np.array(covariance) == pytest.approx(
+        np.linalg.inv(information), abs=1e-8, rel=1e-5
+    )
 
 
 @settings(deadline=None, max_examples=40)
@@ -55,28 +54,23 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     seed, length, window, ratio, is_constant
 ):
     rng = np.random.default_rng(seed)
-    speed = (
-        np.full(length, 2.3e-3)
-        if is_constant
-        else 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
-    )
+    varying = 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
+    speed = np.full(length, 2.3e-3) if is_constant else varying
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
     config = PublishedConfig(var_stiffness=variances[0], var_friction=variances[1])
     rls = PublishedMethod(config).state
     windows = NO_WINDOWS
-    for k in range(length):
-        if k and k % window == 0:
+    for k, row in enumerate(np.transpose([depth, speed, force]).tolist(), 1):
+        update_rls(rls, config, *row)
+        if k % window == 0 or k == length:
             windows = append_window(windows, rls.window, 4096)
             begin_window(rls, config)
-        update_rls(rls, config, float(depth[k]), float(speed[k]), float(force[k]))
-    windows = append_window(windows, rls.window, 4096)
     expected = np.array([rls.stiffness, rls.friction])
     scale = np.abs(expected) + np.sqrt(variances) * 1e-6
-    difference = np.abs(np.array(rerun_windows(windows, *variances)) - expected)
 
-    assert np.all(difference < 1e-6 * scale)
+    assert np.all(np.abs(rerun_windows(windows, *variances) - expected) < 1e-6 * scale)
 
 
 DT_S = 1e-3
@@ -105,23 +99,25 @@ def run(z, f, config=PUBLISHED, speed_m_s=SPEED):
 def test_finds_ruptures_and_friction_of_its_own_model():
     z, f = ml_insertion()
     identifier, estimates = run(z, f)
-    ruptures = [e.rupture for e in estimates if e.rupture]
+    kelvin_voigt = run(z, f, PUBLISHED_KV)[1]
+    remaining_N, kelvin_voigt_N = (
+        abs(np.mean([e.enhanced_force_N for e in found[-500:]]))
+        for found in (estimates, kelvin_voigt)
+    )
 
-    assert [round(r.depth_m, 3) for r in ruptures] == [0.030, 0.050]
-
-    for layer, (thickness, stiffness, friction) in zip(
-        identifier.layers, LAYERS, strict=True
-    ):
-        assert layer.thickness_m == pytest.approx(thickness, rel=0.02)
-        assert layer.friction_Ns_per_m2 == pytest.approx(friction, rel=0.25)
-        assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=0.25)
-    remaining_N = abs(np.mean([e.enhanced_force_N for e in estimates[-500:]]))
-
-    assert remaining_N < 0.2 * np.mean(f[-500:])
-
-    kelvin_voigt = run(z, f, PUBLISHED_KV)[1][-500:]
-
-    assert remaining_N < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
+    assert [round(e.rupture.depth_m, 3) for e in estimates if e.rupture] == [0.03, 0.05]
+    assert [
+        (layer.thickness_m, layer.stiffness_N_per_m, layer.friction_Ns_per_m2)
+        for layer in identifier.layers
+    ] == [
+        (
+            pytest.approx(thickness, rel=0.02),
+            pytest.approx(stiffness, rel=0.25),
+            pytest.approx(friction, rel=0.25),
+        )
+        for thickness, stiffness, friction in LAYERS
+    ]
+    assert remaining_N < min(0.2 * np.mean(f[-500:]), kelvin_voigt_N)
 
 
 def test_a_layer_is_subtracted_once_it_is_identified_without_a_jump():
@@ -129,12 +125,14 @@ def test_a_layer_is_subtracted_once_it_is_identified_without_a_jump():
     identifier, estimates = run(z, f)
     (at,) = (k for k, e in enumerate(estimates) if e.identified_layer)
     layer = estimates[at].identified_layer
-    damping = layer.friction_N / layer.rupture.speed_m_s
-    errors_N = [e.predicted_force_N - y for e, y in zip(estimates, f, strict=True)]
+    damping = [e.cumulative_friction_Ns_per_m for e in estimates[: at + 1]]
+    errors_N = [e.predicted_force_N for e in estimates] - f
 
     assert identifier.layers == (layer,)
-    assert {e.cumulative_friction_Ns_per_m for e in estimates[:at]} == {0.0}
-    assert estimates[at].cumulative_friction_Ns_per_m == pytest.approx(damping)
+    assert damping == [
+        *[0.0] * at,
+        pytest.approx(layer.friction_N / layer.rupture.speed_m_s),
+    ]
     assert np.abs(errors_N[at + 1 : at + 201]).max() < 0.15
 
 
@@ -150,8 +148,9 @@ def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     f = 9000.0 * reach * v + np.where(reach < 0.03, stiffness * reach, 0.0)
     (layer,) = run(z, f, speed_m_s=v)[0].layers
 
-    assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
-    assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
+    assert (layer.friction_Ns_per_m2, layer.stiffness_N_per_m) == pytest.approx(
+        (9000.0, stiffness), rel=1e-3
+    )
 
 
 def test_an_unmeasured_speed_is_estimated_from_depth():
