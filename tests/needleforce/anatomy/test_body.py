@@ -16,9 +16,6 @@ from needleforce.anatomy import (
     VolumeError,
     read_labels,
 )
-
-pytest.importorskip("SimpleITK")
-
 from tests.needleforce.anatomy import made_files as made
 
 SHOWN_HU = {
@@ -38,14 +35,14 @@ class Case:
         self.grid = Grid(shape, np.array([-0.178, -0.126, -0.166]), 4e-3 * np.eye(3))
         self.values = torso.voxels(shape, self.grid.origin_m, self.grid.axes_m)
         units = [-1000.0, *(SHOWN_HU[shape.name] for shape in torso.shapes)]
-        noise = rng.normal(0.0, 20.0, shape)
-        self.scan = Volume(np.array(units)[self.values] + noise, self.grid)
+        shown_HU = np.array(units)[self.values] + rng.normal(0.0, 20.0, shape)
+        self.scan = Volume(shown_HU, self.grid)
         self.structures = [
             Structure.named(shape.name, k) for k, shape in enumerate(torso.shapes, 1)
         ]
 
     def labels(self, values=None, grid=None):
-        chosen = self.values if values is None else np.ascontiguousarray(values)
+        chosen = np.ascontiguousarray(self.values if values is None else values)
         return Labels.of([chosen], grid or self.grid, self.structures)
 
 
@@ -150,8 +147,11 @@ def test_structures_that_lie_the_wrong_way_round_are_refused(tmp_path, places, w
 @pytest.mark.parametrize("is_inverse", [False, True])
 def test_liver_and_spleen_must_be_right_whatever_else_is(tmp_path, count, is_inverse):
     side = -1 if is_inverse else 1
-    ribs = {f"rib_left_{k}": (10, 0, k) for k in range(count)}
-    ribs |= {f"rib_right_{k}": (-10, 0, k) for k in range(count)}
+    ribs = {
+        f"rib_{name}_{k}": (x_cm, 0, k)
+        for name, x_cm in (("left", 10), ("right", -10))
+        for k in range(count)
+    }
     places = {"liver": (-6 * side, 5, 0), "spleen": (6 * side, 5, 0), **ribs}
     blocks(tmp_path, places, situs_inversus=is_inverse)
     with pytest.raises(VolumeError, match="situs"):
@@ -189,10 +189,7 @@ def test_the_largest_body_is_found_with_its_holes_and_its_fat(head_axis):
     scan_HU[inside & blobs(rng, shape, 0.06)] = -900.0  # holes, closed and open
     scan_HU = (scan_HU + 45.0 * rng.normal(size=shape)).astype(np.int16)
     grid = Grid(shape, np.zeros(3), np.roll(1e-3 * np.eye(3), head_axis - 2, axis=1))
-    fractions = []
-    labels = part(inside, grid).with_body(
-        Volume(scan_HU, grid), fat=True, progress=fractions.append
-    )
+    labels = part(inside, grid).with_body(Volume(scan_HU, grid), fat=True)
     body = filled(largest(scan_HU > -300), head_axis)
     is_fat = body & (ndimage.median_filter(scan_HU, 3) < -30)
 
@@ -283,14 +280,11 @@ def test_what_is_dense_as_bone_and_not_labelled_is_an_obstacle():
     labels = Labels.of([volume], grid, structures)
     found = labels.with_dense(Volume(values, grid))
     near = found.clearances([0.0, 0.0215, 0.02], [0.039, 0.0215, 0.02])[0]
+    soft = Volume(np.minimum(values, 100.0), grid)
 
     assert found["dense_as_bone"].voxels == 4 * 4 * 40 == found["rib_left_7"].voxels
-    assert (near.name, near.distance_m, near.is_obstacle) == (
-        "dense_as_bone",
-        0.0,
-        True,
-    )
-    soft = Volume(np.minimum(values, 100.0), grid)
+    seen = (near.name, near.distance_m, near.is_obstacle)
+    assert seen == ("dense_as_bone", 0.0, True)
     assert labels.with_dense(soft).structures == labels.structures
 
 
@@ -322,5 +316,4 @@ def test_names_say_what_stops_a_needle_and_what_is_at_risk(name, is_obstacle, is
     assert (structure.is_obstacle, structure.is_risk) == (is_obstacle, is_risk)
     assert all(0.0 <= shade <= 1.0 for shade in structure.colour)
     coded = replace(Structure.named("x1", 1, kind="Rib"), volume=1)
-    assert coded.is_obstacle
-    assert coded.anatomy == "Rib"
+    assert (coded.is_obstacle, coded.anatomy) == (True, "Rib")

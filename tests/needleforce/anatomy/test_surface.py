@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from needleforce.anatomy import Grid, Labels, Structure, Surface
 
-pytest.importorskip("skimage")
-trimesh = pytest.importorskip("trimesh")
 ORIGIN_m = np.array([0.1, -0.2, 0.3])
 
 
@@ -92,8 +91,9 @@ def test_the_nearest_of_large_and_small_triangles_is_found(count):
     every = trimesh.triangles.closest_point(np.tile(corners, (60, 1, 1)), points)
     gaps = np.linalg.norm(every - points, axis=1).reshape(60, count).min(axis=1)
 
-    distances = np.linalg.norm(places - points, axis=1)
-    np.testing.assert_allclose(distances, gaps.repeat(count), atol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.norm(places - points, axis=1), gaps.repeat(count), atol=1e-6
+    )
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
@@ -107,7 +107,8 @@ def test_mean_normals_weigh_triangles_by_area_on_the_same_side():
     areas = counts * mesh.area_faces
     expected = areas @ mesh.face_normals / areas.sum(axis=1, keepdims=True)
 
-    means = surface.mean_normals(places, facets, 12e-3)
-    np.testing.assert_allclose(means, expected, atol=1e-12)
+    np.testing.assert_allclose(
+        surface.mean_normals(places, facets, 12e-3), expected, atol=1e-12
+    )
     # Farther from every middle than the reach: the normal itself.
     np.testing.assert_array_equal(surface.mean_normals(places, facets, 1e-9), facets)
