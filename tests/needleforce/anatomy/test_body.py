@@ -189,7 +189,10 @@ def test_the_largest_body_is_found_with_its_holes_and_its_fat(head_axis):
     scan_HU[inside & blobs(rng, shape, 0.06)] = -900.0  # holes, closed and open
     scan_HU = (scan_HU + 45.0 * rng.normal(size=shape)).astype(np.int16)
     grid = Grid(shape, np.zeros(3), np.roll(1e-3 * np.eye(3), head_axis - 2, axis=1))
-    labels = part(inside, grid).with_body(Volume(scan_HU, grid), fat=True)
+    fractions = []
+    labels = part(inside, grid).with_body(
+        Volume(scan_HU, grid), fat=True, progress=fractions.append
+    )
     body = filled(largest(scan_HU > -300), head_axis)
     is_fat = body & (ndimage.median_filter(scan_HU, 3) < -30)
 

@@ -205,8 +205,7 @@ def test_of_overlapping_structures_the_smallest_counts():
     labels = Labels.of([liver, vessel], grid, structures)
 
     assert [
-        layer.name
-        for layer in labels.layers_along([0.0, 0.0145, 0.0145], [0.0145] * 3)
+        layer.name for layer in labels.layers_along([0.0, 0.0145, 0.0145], [0.0145] * 3)
     ] == ["liver", "vessel"]
 
 

@@ -25,12 +25,15 @@ def tick(time_s, depth_m=0.0, *, rupture=None, retracted=None, status="ok", **mo
         hard_contact=None,
         identified_layer=None,
     )
-    values = {"depth_in_tissue_m": None, "plan": None, "deviation": None}
-    values |= {"clearances": (), "plan_events": ()}
+    values = {
+        **{"depth_in_tissue_m": None, "plan": None, "deviation": None},
+        **{"clearances": (), "plan_events": ()},
+    }
     return SimpleNamespace(
         time_s=time_s,
         depth_m=depth_m,
-        wrench=SimpleNamespace(axial=20.0 * depth_m, axial_std=0.05),
+        speed_m_s=0.0,
+        wrench=SimpleNamespace(axial=20.0 * depth_m, axial_std=0.05, message=""),
         identification=identification,
         status=SimpleNamespace(value=status),
         **(values | more),
