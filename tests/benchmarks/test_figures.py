@@ -89,7 +89,6 @@ def test_a_closed_loop_is_judged_on_every_plant_of_the_table():
 def test_what_was_not_measured_is_said():
     figures = fill_figures(delays(70.0, 72.0), "abc")
     lines = figures["tables"]["headline"]
+    said = (lines[0][-1], lines[2][-1], figures["runs"])
 
-    assert lines[0][-1] == "not measured"
-    assert lines[2][-1] == "met"
-    assert figures["runs"] == {"fri": 2}
+    assert said == ("not measured", "met", {"fri": 2})
