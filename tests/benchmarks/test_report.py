@@ -11,8 +11,7 @@ def test_a_drawing_has_the_number_of_its_figure():
         *((source, "gel-70-constant") for source in ("force", "ft", "virtual")),
         ("ft", "stack-constant"),
     ]
-    numbers = [published_number(*drawing) for drawing in drawings]
-    assert numbers == ["5", "8", "11", ""]
+    assert [published_number(*drawing) for drawing in drawings] == ["5", "8", "11", ""]
     assert {item["number"] for item in PUBLISHED} >= {"2", "3", "10", "14", "I"}
 
 

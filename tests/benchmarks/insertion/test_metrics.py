@@ -46,11 +46,10 @@ def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
 
 
 def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
-    layer = online = None
-    if friction_N is not None:
-        layer = SimpleNamespace(friction_N=friction_N, friction_std_N=std_N)
-    if online_N is not None:
-        online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
+    layer, online = (
+        None if N is None else SimpleNamespace(friction_N=N, friction_std_N=std_N)
+        for N in (friction_N, online_N)
+    )
     sample = int(np.searchsorted(T, alarm_s))
     return Alarm(
         sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online

@@ -16,8 +16,7 @@ def values(benchmark, data, seed=0):
 
     assert not result.failure
 
-    rows = result.rows.set_index(["source", "method", "metric"])
-    return rows["value"].to_dict()
+    return result.rows.set_index(["source", "method", "metric"])["value"].to_dict()
 
 
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):

@@ -108,8 +108,7 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
         session = InsertionSession(RUN.robot)
         session.follow(MATCH, path=PATH)
         write_snapshot(snapshot, tmp_path / "s")
-        is_file = where == "file"
-        session.restore(read_snapshot(tmp_path / "s") if is_file else snapshot)
+        session.restore(read_snapshot(tmp_path / "s") if where == "file" else snapshot)
         if where == "copy":
             session = copy.deepcopy(session)
         elif where == "pickle":

@@ -137,10 +137,11 @@ def test_a_grazed_layer_states_how_little_is_known_of_its_ends():
 def test_flat_layers_are_exact_and_bone_obstructs():
     labels = slabs("fat", "rib_left_9", "muscle")
     layers = labels.layers_along([-0.0105, 0.01, 0.01], [0.0255, 0.01, 0.01])
-    expected = [("unlabelled", False), ("fat", False), ("rib_left_9", True)]
 
     assert [(layer.name, layer.is_obstacle) for layer in layers] == [
-        *expected,
+        ("unlabelled", False),
+        ("fat", False),
+        ("rib_left_9", True),
         ("muscle", False),
     ]
     ends_m = [layer.exit_m for layer in layers]
@@ -430,10 +431,9 @@ def test_needle_and_way_ahead_are_measured_apart():
 
 
 def test_what_is_too_near_comes_first_and_the_target_is_left_out():
-    around = surroundings(gap_mm=4, rib_mm=7)
     # The plan passes the vessel at 3.5 mm, so it may be 2.5 mm near; the rib, further
     # away, may be 6 mm near.
-    found = judge(around, 0.045, aside_m=-0.7e-3)
+    found = judge(surroundings(gap_mm=4, rib_mm=7), 0.045, aside_m=-0.7e-3)
 
     assert [(one.name, one.is_too_near) for one in found.values()] == [
         ("rib_left_7", True),

@@ -371,8 +371,7 @@ def test_a_point_is_a_target_and_a_line_a_path(capsys, fields):
 
 
 def test_keys_record_undo_and_end(capsys, monkeypatch):
-    openpty = pytest.importorskip("pty").openpty
-    keyboard, terminal = openpty()
+    keyboard, terminal = pytest.importorskip("pty").openpty()
     # Before the first moment Enter records nothing; two lines then are one too many.
     os.write(keyboard, b"\n\nu\n\n\nQ\n")
     with os.fdopen(terminal, encoding="utf-8") as typed:

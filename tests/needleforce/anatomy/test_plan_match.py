@@ -128,8 +128,7 @@ def test_air_before_the_skin_is_no_layer(depth_m, ruptures_m):
         depth_m, ruptures_m, **contact, entry_depth_m=-0.015
     )
 
-    matched = bare.matched + (bare.matched >= 0)
-    expected = (bare.layer + 1, bare.name, matched)
+    expected = (bare.layer + 1, bare.name, bare.matched + (bare.matched >= 0))
     assert (state.layer, state.name, state.matched) == expected
     assert (state.next_m, state.offset_m) == pytest.approx((bare.next_m, bare.offset_m))
     # In front of an organ it is tissue without a label.
@@ -153,8 +152,7 @@ def test_an_unnoticed_boundary_is_passed_all_the_same():
 
 
 def test_a_boundary_passed_by_less_than_an_alarm_takes_is_not_yet_missed():
-    layers = plan(20, names=("gel", "muscle"), std_mm=0.1)
-    match = PlanMatch(layers, 2e-4)
+    match = PlanMatch(plan(20, names=("gel", "muscle"), std_mm=0.1), 2e-4)
     before, at, behind = (
         match.state(depth_m, contact_m=0.0) for depth_m in (0.0195, 0.0203, 0.022)
     )

@@ -86,8 +86,7 @@ def test_the_nearest_of_large_and_small_triangles_is_found(count):
     corners[-1, 2] = 0.5 * (corners[-1, 0] + corners[-1, 1]) + 1e-9  # a sliver
     points = (2.0 * rng.normal(size=(60, 3))).repeat(count, axis=0)
     triangles = np.arange(3 * count).reshape(count, 3)
-    surface = Surface("part", corners.reshape(-1, 3), triangles)
-    places, normals = surface.nearest(points)
+    places, normals = Surface("part", corners.reshape(-1, 3), triangles).nearest(points)
     every = trimesh.triangles.closest_point(np.tile(corners, (60, 1, 1)), points)
     gaps = np.linalg.norm(every - points, axis=1).reshape(60, count).min(axis=1)
 

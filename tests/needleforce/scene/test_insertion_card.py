@@ -111,8 +111,7 @@ def test_the_first_card_names_the_tissue_at_the_tip_with_its_probability(
     state, found, tissue
 ):
     assert tissue in words_of(card(state, plan=found))
-    no_path = PlanScene(layers=plan().layers)
-    assert words_of(card(state, no_path, plan=found)) == tissue
+    assert words_of(card(state, PlanScene(layers=plan().layers), plan=found)) == tissue
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ from tests.needleforce.scene.insertions import (
 )
 from tests.needleforce.scene.scene_page import browse
 
+POINT = PlanScene(entry_m=np.zeros(3), target_m=np.zeros(3))
 FILM = "document.getElementById('scene').contentDocument"
 SETTLE_s = 3.0
 """So long a page may fetch what it should not."""
@@ -99,8 +100,7 @@ def test_a_failing_export_leaves_the_older_page(tmp_path, monkeypatch, open_page
 
 
 def test_a_plan_becomes_a_page_without_a_needle(tmp_path):
-    path = export_plan(plan(), tmp_path / "plan.html")
-    text = path.read_text(encoding="utf-8")
+    text = export_plan(plan(), tmp_path / "plan.html").read_text(encoding="utf-8")
     words = ("not a medical device", "planned boundary", "rupture detected")
 
     assert [word in text for word in words] == [True, True, False]
@@ -265,12 +265,13 @@ def test_a_page_that_hangs_holds_no_loop_up():
 
 
 @pytest.mark.slow
-def test_a_page_that_cannot_open_is_reported():
-    with pytest.raises(SceneError, match="70000"):
-        open_viewer(load_lwr(), port=70000)
-    place_m = np.zeros(3)
-    with pytest.raises(SceneError, match="two points"):
-        open_viewer(load_lwr(), PlanScene(entry_m=place_m, target_m=place_m), port=8671)
+@pytest.mark.parametrize(
+    ("scene", "port", "word"),
+    [(PlanScene(), 70000, "70000"), (POINT, 8671, "two points")],
+)
+def test_a_page_that_cannot_open_is_reported(scene, port, word):
+    with pytest.raises(SceneError, match=word):
+        open_viewer(load_lwr(), scene, port=port)
 
 
 @pytest.mark.slow

@@ -114,8 +114,7 @@ def test_a_line_joins_the_needle_and_the_nearest_structure(open_page):
     aside = np.cross(axis, [0.0, 1.0, 0.0])
     place_m = tip_m + 0.004 * axis + 0.012 * aside / np.linalg.norm(aside)
     near = clearance(place_m=place_m)
-    too_near = near._replace(needed_m=0.02)
-    for k, found in enumerate([(), (near,), (too_near,)]):
+    for k, found in enumerate([(), (near,), (near._replace(needed_m=0.02),)]):
         page.append([moment(float(k), clearances=found)])
     page.show(0.0)
     assert not page._nearest.visible
@@ -162,8 +161,7 @@ def test_plots_show_valid_forces_until_the_time_shown(open_page):
 
 
 def test_before_the_first_sample_the_plan_is_shown(open_page):
-    page = open_page()
-    words = words_of(page._card)
+    words = words_of(open_page()._card)
 
     assert words.startswith("PLANNED waiting for the first sample")
     assert "100.0 mm from the planned entry to the target" in words
@@ -171,8 +169,7 @@ def test_before_the_first_sample_the_plan_is_shown(open_page):
 
 
 def test_planned_boundaries_stand_where_a_layer_ends(open_page):
-    page = open_page()
-    nodes = page._server.scene._handle_from_node_name
+    nodes = open_page()._server.scene._handle_from_node_name
     entry_m = plan().path.entry_m
     for name, depth_m, text in (("1", 0.02, "liver"), ("2", 0.05, "rib (obstacle)")):
         ring = nodes[f"/plan/boundary {name}"]
