@@ -32,13 +32,17 @@ JUDGED = {
 
 
 def figures(unit="1", **values):
-    rows = {kind: (value, unit, *JUDGED[kind]) for kind, value in values.items()}
-    return pd.DataFrame.from_dict(rows, "index", columns=list(COLUMNS))
+    return pd.DataFrame.from_dict(
+        {kind: (value, unit, *JUDGED[kind]) for kind, value in values.items()},
+        "index",
+        columns=list(COLUMNS),
+    )
 
 
 def change(kind, old, new):
-    found = compare_figures(figures(**{kind: old}), figures(**{kind: new}))
-    return found["change"].item()
+    return compare_figures(figures(**{kind: old}), figures(**{kind: new}))[
+        "change"
+    ].item()
 
 
 @pytest.mark.parametrize(

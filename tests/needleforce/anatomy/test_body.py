@@ -223,7 +223,7 @@ def test_the_body_on_another_grid_is_that_of_the_nearest_voxel(turn, step, shift
     voxel = np.rint(target.indices(middle_m)).astype(int)
     values[tuple(np.minimum(voxel, np.array(target.shape) - 1))] = 1
     scan = Volume(np.where(inside, 40, -1000).astype(np.int16), source)
-    found = part(values, target).with_body(scan)
+    body = part(values, target).with_body(scan).volumes[1]
     expected = ndimage.affine_transform(
         inside.astype(np.uint8),
         turn * step,
@@ -234,25 +234,24 @@ def test_the_body_on_another_grid_is_that_of_the_nearest_voxel(turn, step, shift
     )
 
     # Ties between two voxels may go either way.
-    assert np.count_nonzero(found.volumes[1] != expected) < 2e-4 * expected.size
+    assert np.count_nonzero(body != expected) < 2e-4 * expected.size
 
 
 @pytest.mark.parametrize("back", [1.0, -1.0])
 def test_a_couch_that_touches_the_back_is_no_body(back):
     """A trunk that tapers on a hollow couch of 400 x 20 mm, which it touches."""
-    sides = (4e-3 * (np.arange(n) - n / 2) for n in (120, 80, 40))
+    steps_m = ((120, 4e-3), (80, back * 4e-3), (40, 4e-3))
+    sides = (step_m * (np.arange(n) - n / 2) for n, step_m in steps_m)
     x_m, y_m, z_m = np.meshgrid(*sides, indexing="ij")
-    y_m = back * y_m
     # From front to back, 64 to 96 mm.
     trunk = (x_m / 0.15) ** 2 + (y_m / (0.08 + 0.1 * z_m)) ** 2 < 1.0
     depth_m = y_m - 0.088  # it reaches into the upper sections' back
     couch = (np.abs(x_m) < 0.2) & (depth_m >= 0.0) & (depth_m < 0.02)
     filling = (np.abs(x_m) < 0.19) & (depth_m >= 5e-3) & (depth_m < 15e-3)
-    scan_HU = np.where(trunk | couch, 40, -1000)
-    scan_HU[filling] = -950
+    scan_HU = np.select([filling, trunk | couch], [-950, 40], -1000)
     grid = Grid(trunk.shape, np.zeros(3), np.diag([4e-3, back * 4e-3, 4e-3]))
-    labels = part(trunk, grid).with_body(Volume(scan_HU.astype(np.int16), grid))
-    body = labels.volumes[1] > 0
+    scan = Volume(scan_HU.astype(np.int16), grid)
+    body = part(trunk, grid).with_body(scan).volumes[1] > 0
     alone = trunk & (depth_m <= 0.0) & ~couch
 
     assert (body & couch).sum() < 0.02 * couch.sum()

@@ -73,9 +73,8 @@ def test_paths_through_a_torso_are_right_without_gaps():
         layers = labels.layers_along(entry_m, target_m)
         for pair in pairwise(torso.crossings(entry_m, target_m)):
             sides = [one.name or "unlabelled" for one in pair]
-            true_m = pair[1].entry_m
             found = [
-                [b.entry_m - true_m, b.entry_std_m]
+                [b.entry_m - pair[1].entry_m, b.entry_std_m]
                 for a, b in pairwise(layers)
                 if [a.name, b.name] == sides
             ]
@@ -216,15 +215,13 @@ def test_the_clearance_is_that_of_the_nearest_voxels_box(seed):
     spacing_m = rng.uniform(0.5e-3, 3e-3, 3)
     noise = ndimage.gaussian_filter(rng.normal(size=(14, 12, 13)), 1.5)
     values = (noise > np.quantile(noise, rng.uniform(0.7, 0.99))).astype(np.uint8)
-    turn = Rotation.random(rng=rng).as_matrix()
-    labels = labels_of(values, ["rib"], spacing_m, turn, (0.1, -0.2, 0.3))
+    labels = labels_of(
+        *(values, ["rib"], spacing_m),
+        Rotation.random(rng=rng).as_matrix(),
+        (0.1, -0.2, 0.3),
+    )
     boxes = VoxelBoxes(labels, labels["rib"])
     low_m = (np.argwhere(values) - 0.5) * spacing_m
-
-    def gaps_m(places_m):
-        off_m = places_m[:, None] - np.clip(places_m[:, None], low_m, low_m + spacing_m)
-        return np.linalg.norm(off_m, axis=2).min(axis=1)
-
     for _ in range(5):
         ends = rng.uniform(-0.4, 1.4, (2, 3)) * values.shape
         ends_m = labels.grid.points_m(ends)
@@ -232,7 +229,9 @@ def test_the_clearance_is_that_of_the_nearest_voxels_box(seed):
         length_m = np.linalg.norm(ends_m[1] - ends_m[0])
         depths_m = np.append(np.linspace(0.0, length_m, 101), found.depth_m)
         way_m = (ends[1] - ends[0]) * spacing_m / length_m
-        all_m = gaps_m(ends[0] * spacing_m + depths_m[:, None] * way_m)
+        places_m = ends[0] * spacing_m + depths_m[:, None, None] * way_m
+        gaps_m = places_m - np.clip(places_m, low_m, low_m + spacing_m)
+        all_m = np.linalg.norm(gaps_m, axis=2).min(axis=1)
         least_m = all_m[:-1].min()
 
         # Half a step beside the nearest place the distance has grown by no more.

@@ -214,8 +214,9 @@ def test_a_path_past_a_rib_is_refused_however_the_rib_is_called(
     values[10:14, 14:, :] = 1
     values[20:, :13, :] = 2
     made.write_image(tmp_path / "labels.nii.gz", values)
-    plan = {"entry_m": [0.0, 0.01, 0.015], "target_m": [0.028, 0.01, 0.015]}
-    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "plan.json").write_text(
+        '{"entry_m": [0.0, 0.01, 0.015], "target_m": [0.028, 0.01, 0.015]}'
+    )
     (tmp_path / "labels.json").write_text(json.dumps({"1": name, "2": "muscle"}))
     with made.refused_if(is_refused, name, PlanFileError):
         assert read_plan(tmp_path).warnings

@@ -108,8 +108,10 @@ def test_the_surface_lies_off_with_the_plan_or_alone():
         spread_m = np.sqrt(weight @ (grid_m - median_m) ** 2)
         state = PlanMatch(layers, std_m).state(contact_m, contact_m=contact_m)
 
-        assert state.offset_m == pytest.approx(median_m, abs=2e-5)
-        assert state.offset_std_m == pytest.approx(spread_m, rel=0.01)
+        assert (state.offset_m, state.offset_std_m) == (
+            pytest.approx(median_m, abs=2e-5),
+            pytest.approx(spread_m, rel=0.01),
+        )
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from needleforce.anatomy import (
     read_transform,
     read_volume,
 )
-from needleforce.anatomy.markups import read_markup, write_markup
+from needleforce.anatomy.markups import read_markup
 from tests.needleforce.anatomy import made_files as made
 
 TURN = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
@@ -68,8 +68,8 @@ def test_rounded_positions_are_read_and_a_missing_slice_is_not(
 @pytest.mark.parametrize(
     ("places", "change", "why"),
     [
-        ([[0.0, 0.0, 0.0]] * 3, None, "doubled"),
-        ([[0.0, 0.0, 0.0]], None, "one"),
+        ([[0.0, 0.0, 0.0]] * 3, ("Modality", "CT"), "doubled"),
+        ([[0.0, 0.0, 0.0]], ("Modality", "CT"), "one"),
         (None, ("Modality", "MR"), "MR"),
         (None, ("NumberOfFrames", 4), "4"),
         (None, ("PixelSpacing", [0.9, 0.7]), "mixed"),
@@ -80,11 +80,10 @@ def test_rounded_positions_are_read_and_a_missing_slice_is_not(
 )
 def test_slices_that_are_not_one_whole_ct_are_refused(tmp_path, places, change, why):
     slices = made.ct_slices((4, 4, len(places or [0] * 5)), places, series=1)
-    if change is not None:
-        if change[1] is None:
-            del slices[2][change[0]]
-        else:
-            setattr(slices[2], *change)
+    if change[1] is None:
+        del slices[2][change[0]]
+    else:
+        setattr(slices[len(slices) // 2], *change)
     made.write_series(tmp_path, slices)
 
     with pytest.raises(VolumeError, match=why):
@@ -255,10 +254,11 @@ OTHER = {"Name": "Läsion", "Tags": made.slicer_tags("Tissue")}
 def slicer_5(path):
     """Segments that do not overlap share a layer."""
     liver, lesion, rib, other = bodies()
-    places = [(0, 1), (1, 1), (0, 3), (0, 4)]
     segments = [
-        {**item, "Layer": layer, "LabelValue": value}
-        for item, (layer, value) in zip((LIVER, MASS, RIB, OTHER), places, strict=True)
+        LIVER | {"Layer": 0, "LabelValue": 1},
+        MASS | {"Layer": 1, "LabelValue": 1},
+        RIB | {"Layer": 0, "LabelValue": 3},
+        OTHER | {"Layer": 0, "LabelValue": 4},
     ]
     made.write_seg_nrrd(path, (liver + 3 * rib + 4 * other, lesion), segments)
 
@@ -445,15 +445,6 @@ def test_in_a_real_ct_left_is_left(recordings_dir):
     assert spleen_m[0] - middle_m[0] > 0.05 > 0.0 > liver_m[0] - middle_m[0]
     assert upper_m[2] > middle_m[2]
     assert middle_m[1] > liver_m[1]
-
-
-def test_points_of_slicer_are_written_and_read(tmp_path):
-    points_m = np.array([[0.01, 0.02, 0.03], [0.0, -0.05, 0.07]])
-    write_markup(tmp_path / "a.mrk.json", "Line", ("entry", "target"), points_m)
-    markup = read_markup(tmp_path / "a.mrk.json")
-
-    assert (markup.names, markup.is_line) == (("entry", "target"), True)
-    np.testing.assert_allclose(markup.points_m, points_m, atol=1e-7)
 
 
 POINTS = (

@@ -58,9 +58,11 @@ def test_the_stated_error_is_fitzpatricks(
     squares_m2 = count * fit_landmarks(model_m, robot_m, std_m=2e-3).residual_rms_m ** 2
     std_m = np.sqrt(squares_m2 / chi_squared)
     fit = fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=is_known)
-    variance_m2 = std_m**2
-    if stated is not None:
-        variance_m2 = (squares_m2 + stated * std_m**2) / (3 * count - 6 + stated)
+    variance_m2 = (
+        std_m**2
+        if stated is None
+        else (squares_m2 + stated * std_m**2) / (3 * count - 6 + stated)
+    )
     middle_m = model_m.mean(axis=0)
     _, _, axes = np.linalg.svd(model_m - middle_m)
 
@@ -244,8 +246,8 @@ def touch(rng, pressed_m=0.0, radius_m=0.11, move_m=(0, 0, 0), first=0, slips_m=
     points_m += off_m[:, None] * normals
     points_m[first:] += move_m
     places_m, (rotation, shift_m) = touched(points_m, rng)
-    landmarks_m = LANDMARKS_m @ rotation.T + shift_m
-    landmarks_m += LANDMARK_STD_m * rng.normal(size=LANDMARKS_m.shape)
+    noise_m = LANDMARK_STD_m * rng.normal(size=LANDMARKS_m.shape)
+    landmarks_m = LANDMARKS_m @ rotation.T + shift_m + noise_m
     return landmarks_m, places_m, rotation @ (INSIDE_m + move_m) + shift_m
 
 
@@ -331,8 +333,12 @@ def touch_part(name, rng, outliers):
     start_m = (
         rotation @ middle_m + shift_m + rng.normal(0.0, 5e-3, 3) - turned @ middle_m
     )
-    start = Registration(turned, start_m, np.eye(6), np.zeros(3), 9.0, 0.0)
-    return Surface(name, mesh.vertices, mesh.faces), touches_m, start, shift_m
+    return (
+        Surface(name, mesh.vertices, mesh.faces),
+        touches_m,
+        Registration(turned, start_m, np.eye(6), np.zeros(3), 9.0, 0.0),
+        shift_m,
+    )
 
 
 def test_touches_find_the_surface_among_those_that_slipped():

@@ -32,8 +32,9 @@ def test_an_ellipsoid_comes_back(spacing_mm, sign):
 
     assert surface.mesh.is_volume
     assert np.sqrt(np.mean(away_m**2)) < 0.16 * np.cbrt(spacing_m.prod())
-    voxels_m3 = labels["part"].voxels * labels.grid.voxel_m3
-    assert surface.mesh.volume == pytest.approx(voxels_m3, rel=1e-6)
+    assert surface.mesh.volume == pytest.approx(
+        labels["part"].voxels * labels.grid.voxel_m3, rel=1e-6
+    )
 
 
 SHAPES = {
