@@ -144,21 +144,18 @@ def hostile(place, url):
     )
 
 
-def hostile_plan(url):
-    """A plan whose layers, structures and warnings have hostile names."""
+def hostile_scene(url):
+    """A plan with hostile names everywhere, and a rupture into one of its layers."""
     named = partial(hostile, url=url)
     scene = plan()
     for one in (*scene.surfaces, *scene.layers):
         one.name = named(one.name)
-    return scene._replace(warnings=(named("warning"),), watched=(named("watched"),))
-
-
-def hostile_moment(scene):
-    """A rupture into a layer of a hostile name."""
-    state = planned(1, 0.052, 1)
-    name = scene.layers[1].name
-    state = state._replace(name=name, next_name=name, matched_name=name)
-    return moment(1.0, 0.022, rupture=1, plan=state, deviation=deviation())
+    names = dict.fromkeys(("name", "next_name", "matched_name"), scene.layers[1].name)
+    state = planned(1, 0.052, 1)._replace(**names)
+    return (
+        scene._replace(warnings=(named("warning"),), watched=(named("watched"),)),
+        moment(1.0, 0.022, rupture=1, plan=state, deviation=deviation()),
+    )
 
 
 @needs_chromium
@@ -166,8 +163,8 @@ def hostile_moment(scene):
 def test_names_in_a_page_are_text(kind, tmp_path, open_page):
     path = tmp_path / "page.html"
     with counting_server() as (url, paths):
-        scene = hostile_plan(url)
-        viewer = open_page(moment(0.0), hostile_moment(scene), scene=scene)
+        scene, rupture = hostile_scene(url)
+        viewer = open_page(moment(0.0), rupture, scene=scene)
         address = path.as_uri()
         if kind == "live":
             address = viewer.url
@@ -202,8 +199,10 @@ def write_report(named, path):
         paragraphs=(named("text"),),
         tables=(table,),
     )
-    lead = (named("warning"),)
-    write_page(path, Page(title=named("title"), lead=lead, sections=(section,) * 3))
+    write_page(
+        path,
+        Page(title=named("title"), lead=(named("warning"),), sections=(section,) * 3),
+    )
 
 
 @pytest.mark.slow
