@@ -78,13 +78,16 @@ def truth(*ruptures):
 
 
 def identified(enhanced_N, tip_N, compensated_at=None):
-    layers = np.where(np.arange(len(enhanced_N)) == compensated_at, "layer", None)
     return SimpleNamespace(
         start=len(T) - len(enhanced_N),
         series={"enhanced_force_N": enhanced_N, "tip_force_N": tip_N}.get,
         result=SimpleNamespace(
             estimates=[
-                SimpleNamespace(rupture=None, identified_layer=one) for one in layers
+                SimpleNamespace(
+                    rupture=None,
+                    identified_layer="layer" if k == compensated_at else None,
+                )
+                for k in range(len(enhanced_N))
             ],
             layers=(),
         ),

@@ -26,7 +26,7 @@ def place_mm(index):
     return ORIGIN_mm + SPACING_mm * np.asarray(index)
 
 
-def refused_if(is_wrong, word, error=VolumeError):
+def refused_if(is_wrong, word, error: type[Exception] = VolumeError):
     """Expects that a volume, or something else, is refused with a word, or is not."""
     return pytest.raises(error, match=word) if is_wrong else nullcontext()
 

@@ -60,8 +60,9 @@ def test_paths_through_a_torso_are_right_without_gaps():
     torso = analytic_torso(rng)
     origin_m = np.array([-0.18, -0.127, -0.168]) + 3e-3 * rng.uniform(size=3)
     values = torso.voxels((120, 86, 112), origin_m, 3e-3 * np.eye(3))
-    names = [body.name for body in torso.shapes]
-    labels = labels_of(values, names, 3e-3, origin_m=origin_m)
+    labels = labels_of(
+        values, [body.name for body in torso.shapes], 3e-3, origin_m=origin_m
+    )
     liver = torso["liver"]
     errors = []
     for _ in range(150):
@@ -114,10 +115,8 @@ def test_a_layer_thinner_than_a_voxel_begins_where_its_neighbour_ends():
 def test_a_grazed_layer_states_how_little_is_known_of_its_ends():
     middle = np.full((3, 1, 1, 1), 20.0)
     draws = np.random.default_rng(1).uniform([0.0, 0.0], [0.4, 7.0], (150, 2))
-    radii = 9.0 - draws[:, 0]
-    across = 20.0 + radii[:, None] * np.transpose(
-        [np.cos(draws[:, 1]), np.sin(draws[:, 1])]
-    )
+    turned = np.transpose([np.cos(draws[:, 1]), np.sin(draws[:, 1])])
+    across = 20.0 + (9.0 - draws[:, :1]) * turned
     found = drawn(
         lambda index: 1 + (np.linalg.norm(index - middle, axis=0) < 9.0),
         [np.array([2.0, *place]) for place in across],
