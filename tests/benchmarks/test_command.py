@@ -103,8 +103,11 @@ def test_a_missed_target_fails_a_strict_run(study, monkeypatch):
 
 @pytest.mark.slow
 def test_processes_say_why_a_job_failed(tmp_path):
-    place = {"benchmark": "panda-real", "plant": "recording", "data": tmp_path}
-    results, failed = run_jobs([Job(seed=seed, **place) for seed in (0, 1)], workers=2)
+    jobs = [
+        Job(benchmark="panda-real", plant="recording", data=tmp_path, seed=seed)
+        for seed in (0, 1)
+    ]
+    results, failed = run_jobs(jobs, workers=2)
 
     assert results.empty
     found = sorted((item.job.seed, "cannot read" in item.failure) for item in failed)

@@ -27,11 +27,10 @@ def pushed(robot, samples=600):
     ddq = np.gradient(dq, PERIOD_s, axis=0)
     force_N = np.where(t > 0.1, 2.0, 0.0)
     place = (robot.tool_frame_id, pin.ReferenceFrame.LOCAL)
-    model = robot.model
     data = robot.create_data()
     tau = [
-        pin.rnea(model, data, *row)
-        + force * pin.computeFrameJacobian(model, data, row[0], *place)[2]
+        pin.rnea(robot.model, data, *row)
+        + force * pin.computeFrameJacobian(robot.model, data, row[0], *place)[2]
         for *row, force in zip(q, dq, ddq, force_N, strict=True)
     ]
     return JointSignals(t_s=t, q_rad=q, dq_rad_s=dq, tau_Nm=np.array(tau)), force_N

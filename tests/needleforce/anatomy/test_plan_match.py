@@ -235,9 +235,9 @@ def test_boundaries_that_cannot_be_are_refused(field, value):
 @pytest.mark.parametrize("bad_m", [np.nan, np.inf])
 def test_depths_that_cannot_be_are_refused(bad_m):
     match = PlanMatch(plan(20, 35), 3e-3)
-    settings = [{"contact_m": bad_m}, {"entry_depth_m": bad_m}, {"deepest_m": bad_m}]
+    names = ("contact_m", "entry_depth_m", "deepest_m")
     for depth_m, ruptures_m, others in (
-        *((0.0, [], one) for one in settings),
+        *((0.0, [], {name: bad_m}) for name in names),
         *((0.03, [0.03, rupture_m], {}) for rupture_m in (bad_m, 0.01)),
         (bad_m, [], {}),
     ):

@@ -78,12 +78,11 @@ def browse(url, size=(1400, 900)):
     """A page in a browser of its own, which ends with the block."""
     from websockets.sync.client import connect
 
-    flags = [flag for flag in FLAGS if flag not in UNWANTED]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
             *(
                 PROGRAM,
-                *flags,
+                *(flag for flag in FLAGS if flag not in UNWANTED),
                 f"--window-size={size[0]},{size[1]}",
                 "--remote-debugging-port=0",
             ),
