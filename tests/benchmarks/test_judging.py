@@ -54,7 +54,10 @@ def test_a_statistic_of_all_runs_is_judged(statistic, value, is_met):
     row = judge(make_seeds((0.87, 0.98, 1.0), metric="wrench_coverage_2sigma"), target)
 
     assert [row[name] for name in ("value", "met", "runs", "worst")] == [
-        *(pytest.approx(value), is_met, 3, "gel-25-constant, seed 0")
+        pytest.approx(value),
+        is_met,
+        3,
+        "gel-25-constant, seed 0",
     ]
 
 

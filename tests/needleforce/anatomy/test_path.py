@@ -215,7 +215,9 @@ def test_the_clearance_is_that_of_the_nearest_voxels_box(seed):
     noise = ndimage.gaussian_filter(rng.normal(size=(14, 12, 13)), 1.5)
     values = (noise > np.quantile(noise, rng.uniform(0.7, 0.99))).astype(np.uint8)
     labels = labels_of(
-        *(values, ["rib"], spacing_m),
+        values,
+        ["rib"],
+        spacing_m,
         Rotation.random(rng=rng).as_matrix(),
         (0.1, -0.2, 0.3),
     )
@@ -281,7 +283,9 @@ def test_clearances_are_stated_and_radius_margin_and_registration_kept_free():
     (liver,) = labels.clearances(ENTRY_m, TARGET_m, ["liver"])
 
     assert [(one.name, one.is_obstacle) for one in (*found, liver)] == [
-        *(("rib_right_8", True), ("lung_right", False), ("liver", False))
+        ("rib_right_8", True),
+        ("lung_right", False),
+        ("liver", False),
     ]
     np.testing.assert_allclose(
         [(1e3 * one.distance_m, 1e3 * one.depth_m) for one in (*found, liver)],
@@ -440,7 +444,9 @@ def test_what_is_too_near_comes_first_and_the_target_is_left_out():
     left = judge(surroundings(leave_out=["portal_vein"]), 0.0)
     far, near = (judge(surroundings(), depth_m) for depth_m in (-0.06, -0.04))
     assert [{*left}, far, {*near}] == [
-        *({"rib_left_7"}, {}, {"portal_vein", "rib_left_7"})
+        {"rib_left_7"},
+        {},
+        {"portal_vein", "rib_left_7"},
     ]
 
 

@@ -143,7 +143,8 @@ def test_an_unnoticed_boundary_is_passed_all_the_same():
     last = match.state(0.0601, [0.0200, 0.0601])
 
     assert [match.state(depth_m, [0.0200]).name for depth_m in (0.030, 0.050)] == [
-        *("muscle", "gland")
+        "muscle",
+        "gland",
     ]
     assert (last.matched, last.name) == (3, "lesion")
     # Withdrawn, the tip is in layers that it has crossed.

@@ -364,7 +364,10 @@ def test_structures_are_renamed_by_name_or_value(tmp_path):
     (tmp_path / "names.json").write_text('{"mass": "cyst"}', encoding="utf-8")
 
     assert names_of(path, {"Läsion": "rib", "mass": "rib"}) == [
-        *("liver", "rib (mass)", "Rippe links", "rib (Läsion)")
+        "liver",
+        "rib (mass)",
+        "Rippe links",
+        "rib (Läsion)",
     ]
     assert read_labels(path, {"Läsion": "rib"})["rib"].is_obstacle
     assert names_of(path, tmp_path / "names.json")[1] == "cyst"

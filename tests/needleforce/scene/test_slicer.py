@@ -76,7 +76,13 @@ def test_slicer_is_updated_when_time_restarts_and_nan_is_null(monkeypatch):
         monkeypatch.setattr(output, "_send", sent.append)
         times_s = (0.0, 0.01, 60.0, 60.01, 0.5, 0.51, 0.52)
         assert [output.put(tick(time_s), np.eye(4)) for time_s in times_s] == [
-            *(1, 0, 1, 0, 1, 0, 1)
+            1,
+            0,
+            1,
+            0,
+            1,
+            0,
+            1,
         ]
         assert output.put(tick(1.0, float("nan")), np.eye(4))
         force = json.loads(sent[-1].string, parse_constant=pytest.fail)
