@@ -20,11 +20,10 @@ def make_results(*rows):
         "metric": "wrench_rmse_N",
         "value": 0.1,
     }
-    filled = [usual | row for row in rows]
     return make_frame(
         [
             tuple((row | {"unit": unit_of(row["metric"])})[name] for name in COLUMNS)
-            for row in filled
+            for row in [usual | row for row in rows]
         ]
     )
 

@@ -1,6 +1,7 @@
 """The command: runs, their file, comparison, mistakes."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -49,18 +50,16 @@ def test_a_run_writes_its_numbers_and_names_what_failed(study, tmp_path, capsys)
     assert run("--out", path, "--seeds", "2") == 1
 
     printed = capsys.readouterr().out
+    results = read_results(path)
+    kinds = set(zip(results["scenario"], results["unit"], strict=True))
 
     assert "ValueError: no arm" in printed
     assert "rcm_eror_mm" in printed
-
-    results = read_results(path)
-
-    assert set(results["scenario"]) == {"study/usual-S"}
+    assert kinds == {("study/usual-S", "mm")}
     assert results.groupby("seed")["value"].agg(list).to_dict() == {
         1000: [7.0, 1.0],
         1001: [7.0, 2.0],
     }
-    assert set(results["unit"]) == {"mm"}
     assert results.attrs["commit"] == campaign.find_commit()
 
 
@@ -70,11 +69,9 @@ def test_a_run_goes_on_with_the_jobs_whose_numbers_are_missing(study, tmp_path):
     done = []
     study.run = lambda job: [done.append(job.seed), Figure("rcm_error_max_mm", 1.0)][1:]
 
-    assert run("--out", path) == 0
-    assert run("--out", path, "--seeds", "3", "--resume") == 0
-    assert done == [1000, 1001, 1002]
-    assert sorted(read_results(path)["seed"]) == done
-    assert run("--resume") == 2
+    more = ("--out", path, "--seeds", "3", "--resume")
+    assert [run("--out", path), run(*more), run("--resume")] == [0, 0, 2]
+    assert [done, sorted(read_results(path)["seed"])] == [[1000, 1001, 1002]] * 2
 
 
 def test_what_was_measured_is_kept_when_a_run_is_interrupted(study, tmp_path):
@@ -101,40 +98,38 @@ def test_a_missed_target_fails_a_strict_run(study, monkeypatch):
     monkeypatch.setattr(judging.evaluate, "__defaults__", ((target,),))
     study.CASES = ("usual S",)
 
-    assert run() == 0
-    assert run("--strict", "--targets") == 1
+    assert [run(), run("--strict", "--targets")] == [0, 1]
 
 
 @pytest.mark.slow
 def test_processes_say_why_a_job_failed(tmp_path):
-    place = {"benchmark": "panda-real", "plant": "recording", "data": tmp_path}
-    jobs = [Job(seed=seed, **place) for seed in (0, 1)]
+    jobs = [
+        Job(benchmark="panda-real", plant="recording", data=tmp_path, seed=seed)
+        for seed in (0, 1)
+    ]
     results, failed = run_jobs(jobs, workers=2)
 
     assert results.empty
-    assert sorted(item.job.seed for item in failed) == [0, 1]
-    assert all("cannot read" in item.failure for item in failed)
+    found = sorted((item.job.seed, "cannot read" in item.failure) for item in failed)
+    assert found == [(0, True), (1, True)]
 
 
 def test_compare_fails_on_what_is_worse(tmp_path, capsys):
-    old = tmp_path / "old.parquet"
-    new = tmp_path / "new.parquet"
-    write_results(old, [make_seeds((0.1, 0.1))])
-    write_results(new, [make_seeds((0.2, 0.1))])
+    old, new = (str(tmp_path / f"{name}.parquet") for name in ("old", "new"))
+    write_results(Path(old), [make_seeds((0.1, 0.1))])
+    write_results(Path(new), [make_seeds((0.2, 0.1))])
 
-    assert main(["compare", str(old), str(new)]) == 1
+    assert main(["compare", old, new]) == 1
     assert "1 worse" in capsys.readouterr().out
-    assert main(["compare", str(new), str(old)]) == 0
-    assert main(["results", str(old)]) == 0
+    assert [main(["compare", new, old]), main(["results", old])] == [0, 0]
     assert "wrench_rmse_N" in capsys.readouterr().out
 
 
 def test_the_last_file_of_a_scenario_on_a_plant_counts(tmp_path):
-    first = tmp_path / "first.parquet"
-    more = tmp_path / "more.parquet"
-    write_results(first, [make_results({}, {"plant": "clean", "seed": 7})])
-    write_results(more, [make_results({"plant": "clean", "value": 0.02})])
-    merged = read_merged([first, more])
+    paths = [tmp_path / "first.parquet", tmp_path / "more.parquet"]
+    write_results(paths[0], [make_results({}, {"plant": "clean", "seed": 7})])
+    write_results(paths[1], [make_results({"plant": "clean", "value": 0.02})])
+    merged = read_merged(paths)
 
     assert sorted(zip(merged["plant"], merged["value"], strict=True)) == [
         ("clean", 0.02),

@@ -53,43 +53,48 @@ def test_a_part_is_a_statistic_of_all_runs(statistic, value):
     assert math.isnan(summarize_part(pd.Series([0.1, math.nan]), part))
 
 
-@pytest.mark.parametrize(("delay_ms", "mark"), [(79.9, "met"), (80.1, "**missed**")])
-def test_our_figure_is_judged_by_the_target_of_its_plant(delay_ms, mark):
-    line = fill_line(delays(delay_ms), TABLE, DELAY)
+BOTH = RowSpec(
+    what="both",
+    plant="fri",
+    parts=(*DELAY.parts, Part("rupture_recall", "mean", ".0f", " %", 100.0)),
+)
+HALF = make_seeds((0.5,), plant="fri", metric="rupture_recall")
+PAST = RowSpec(
+    what="past",
+    plant="fri",
+    scenarios=("control-autonomous/*-20",),
+    parts=(Part("travel_past_rupture_mm", "worst", ".1f", " mm"),),
+)
+TRAVELS = make_seeds(
+    (0.4, 22.0),
+    plant="fri",
+    metric="travel_past_rupture_mm",
+    scenario="control-autonomous/I-20",
+)
 
-    assert line == ["delay", "–", "–", f"{delay_ms:.0f} ms", "80 ms", mark]
 
-
-def test_a_line_of_two_parts_names_which_is_missed():
-    recall = Part("rupture_recall", "mean", ".0f", " %", 100.0)
-    spec = RowSpec(what="both", plant="fri", parts=(*DELAY.parts, recall))
-    found = make_seeds((0.5,), plant="fri", metric="rupture_recall")
-    line = fill_line(pd.concat([delays(70.0), found]), TABLE, spec)
-
-    assert line[-3:] == ["70 ms; 50 %", "80 ms; 97 %", "**missed** (second)"]
-
-
-def test_a_closed_loop_is_judged_on_every_plant_of_the_table():
-    spec = RowSpec(
-        what="past",
-        plant="fri",
-        scenarios=("control-autonomous/*-20",),
-        parts=(Part("travel_past_rupture_mm", "worst", ".1f", " mm"),),
-    )
-    results = make_seeds(
-        (0.4, 22.0),
-        plant="fri",
-        metric="travel_past_rupture_mm",
-        scenario="control-autonomous/I-20",
-    )
-
-    assert fill_line(results, TABLE, spec)[-3:] == ["22.0 mm", "1.0 mm", "**missed**"]
+@pytest.mark.parametrize(
+    ("results", "spec", "line"),
+    [
+        (delays(79.9), DELAY, ["delay", "–", "–", "80 ms", "80 ms", "met"]),
+        (delays(80.1), DELAY, ["delay", "–", "–", "80 ms", "80 ms", "**missed**"]),
+        # Of two parts, the one that is missed is named.
+        (
+            pd.concat([delays(70.0), HALF]),
+            BOTH,
+            ["70 ms; 50 %", "80 ms; 97 %", "**missed** (second)"],
+        ),
+        # A closed loop is judged on every plant of the table.
+        (TRAVELS, PAST, ["22.0 mm", "1.0 mm", "**missed**"]),
+    ],
+)
+def test_our_figure_is_judged_by_the_target_of_its_plant(results, spec, line):
+    assert fill_line(results, TABLE, spec)[-len(line) :] == line
 
 
 def test_what_was_not_measured_is_said():
     figures = fill_figures(delays(70.0, 72.0), "abc")
     lines = figures["tables"]["headline"]
+    said = (lines[0][-1], lines[2][-1], figures["runs"])
 
-    assert lines[0][-1] == "not measured"
-    assert lines[2][-1] == "met"
-    assert figures["runs"] == {"fri": 2}
+    assert said == ("not measured", "met", {"fri": 2})

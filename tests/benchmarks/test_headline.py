@@ -32,13 +32,17 @@ JUDGED = {
 
 
 def figures(unit="1", **values):
-    rows = {kind: (value, unit, *JUDGED[kind]) for kind, value in values.items()}
-    return pd.DataFrame.from_dict(rows, "index", columns=list(COLUMNS))
+    return pd.DataFrame.from_dict(
+        {kind: (value, unit, *JUDGED[kind]) for kind, value in values.items()},
+        "index",
+        columns=list(COLUMNS),
+    )
 
 
 def change(kind, old, new):
-    changes = compare_figures(figures(**{kind: old}), figures(**{kind: new}))
-    return changes["change"].item()
+    return compare_figures(figures(**{kind: old}), figures(**{kind: new}))[
+        "change"
+    ].item()
 
 
 @pytest.mark.parametrize(
@@ -54,16 +58,15 @@ def change(kind, old, new):
     ],
 )
 def test_a_figure_is_worse_only_beyond_its_tolerance(kind, old, just_below, just_above):
-    assert change(kind, old, just_below) == "same"
-    assert change(kind, old, just_above) == "worse"
+    found = [change(kind, old, new) for new in (just_below, just_above)]
+    assert found == ["same", "worse"]
 
 
 def test_what_is_better_missing_or_new_is_named():
-    assert change("sigma", 3.0, 1.1) == "better"
-    assert change("delay", math.nan, math.nan) == "not finite"
-
     changes = compare_figures(figures(delay=80.0), figures(error=0.1))
 
+    assert change("sigma", 3.0, 1.1) == "better"
+    assert change("delay", math.nan, math.nan) == "not finite"
     assert changes["change"].to_dict() == {"delay": "missing", "error": "new"}
     assert changes.loc["error", "unit"] == "1"
 
@@ -95,35 +98,36 @@ def insertions(**changed):
     )
 
 
-def test_figures_sum_up_insertions_by_plant_and_force():
-    found = insertion_figures(insertions(fri_virtual_3=100.0))["value"]
-
-    assert found["clean, ft: delay of the alarm, median"] == 15.0
-    assert found["fri, virtual: delay of the alarm, median"] == 15.0
-
-    other = insertions().assign(seed=3, value=1.0)
-    found = insertion_figures(pd.concat([insertions(), other]))["value"]
-
-    assert found["clean, ft: delay of the alarm, median"] == 15.0
+OTHER_SEED = pd.concat([insertions(), insertions().assign(seed=3, value=1.0)])
 
 
-def test_an_insertion_without_a_number_leaves_its_figure_without_one():
-    found = insertion_figures(insertions().iloc[:-1])["value"]
+@pytest.mark.parametrize(
+    ("results", "virtual_ms"),
+    [
+        (insertions(fri_virtual_3=100.0), 15.0),
+        (OTHER_SEED, 15.0),
+        # An insertion without a number leaves its figure without one.
+        (insertions().iloc[:-1], math.nan),
+    ],
+)
+def test_figures_sum_up_insertions_by_plant_and_force(results, virtual_ms):
+    found = insertion_figures(results)["value"]
 
-    assert math.isnan(found["fri, virtual: delay of the alarm, median"])
-    assert found["fri, ft: delay of the alarm, median"] == 15.0
+    assert [
+        found[f"{force}: delay of the alarm, median"]
+        for force in ("clean, ft", "fri, ft", "fri, virtual")
+    ] == pytest.approx([15.0, 15.0, virtual_ms], rel=0.0, abs=0.0, nan_ok=True)
 
 
 def test_the_fastest_of_three_passes_and_of_two_measurements_counts():
     passes = iter([[3.0, 1.0], [2.0, 9.0], [4.0, 4.0]])
     times = take_fastest(lambda: {"a": np.array(next(passes))})
 
-    assert times["a"].tolist() == [2.0, 1.0]
-
     lesser = keep_lesser(
         figures(delay=3.0, error=math.nan), figures(delay=2.0, error=1.0)
     )
 
+    assert times["a"].tolist() == [2.0, 1.0]
     assert lesser["value"].tolist() == pytest.approx([2.0, math.nan], nan_ok=True)
 
 
@@ -134,8 +138,8 @@ def test_a_file_is_read_as_written_one_figure_a_line(tmp_path):
 
     assert found["value"].tolist() == pytest.approx([0.333333, math.nan], nan_ok=True)
     assert found["tolerance"].tolist() == [5.0, 0.0]
-    assert {"commit", "numpy", "pin", "numba"} == set(about)
-    assert len(path.read_text().splitlines()) == 5
+    shape = (set(about), len(path.read_text().splitlines()))
+    assert shape == ({"commit", "numpy", "pin", "numba"}, 5)
 
     path.write_text("{}")
     with pytest.raises(ResultsError, match="figures"):
@@ -180,5 +184,5 @@ def test_the_command_names_what_is_worse_and_fails(tmp_path, measured, capsys):
     assert "no KDL here" in printed
     assert printed.count("worse") > 4
     assert "clean, ft: delay of the alarm, median" in printed
-    assert main(["headline", "--file", str(tmp_path / "none.json")]) == 2
-    assert main(["headline", "--file", str(path), "--write"]) == 2  # without KDL
+    for options in ([str(tmp_path / "none.json")], [str(path), "--write"]):
+        assert main(["headline", "--file", *options]) == 2  # not written without KDL

@@ -7,10 +7,11 @@ from tests.benchmarks.benchmark_cases import make_results
 
 
 def test_a_drawing_has_the_number_of_its_figure():
-    assert published_number("force", "gel-70-constant") == "5"
-    assert published_number("ft", "gel-70-constant") == "8"
-    assert published_number("virtual", "gel-70-constant") == "11"
-    assert published_number("ft", "stack-constant") == ""
+    drawings = [
+        *((source, "gel-70-constant") for source in ("force", "ft", "virtual")),
+        ("ft", "stack-constant"),
+    ]
+    assert [published_number(*drawing) for drawing in drawings] == ["5", "8", "11", ""]
     assert {item["number"] for item in PUBLISHED} >= {"2", "3", "10", "14", "I"}
 
 
@@ -27,10 +28,10 @@ def gels():
 def test_table_one_has_published_numbers_beside_ours():
     table = table_one(gels()).reset_index().set_index("scenario")
 
-    assert table.loc["25", "mean"] == 85.0
-    assert table.loc["70", "std"] == 14.0
-    assert table.loc["25", "published online"] == 84
-    assert table.loc["70", "published offline_spread"] == 56
+    places = (("25", "mean"), ("70", "std"))
+    published = (("25", "published online"), ("70", "published offline_spread"))
+    found = [table.at[place] for place in (*places, *published)]
+    assert found == [85.0, 14.0, 84, 56]
 
 
 def test_the_page_shows_what_was_drawn(tmp_path):

@@ -31,18 +31,24 @@ def test_the_hand_reaches_the_travel_in_strokes():
 
 
 def test_felt_rupture_is_the_fall_of_each_force():
-    run = Teleinsertion()
-    for k in range(2000):
-        broken = k >= 1000
-        run.t_s.append(1e-3 * k)
-        run.tip_N.append(0.0 if broken else 1.0)
-        run.shown_N.append(0.1 if broken else 1.1)
-        run.raw_N.append(3.0 if broken else 4.0)
-
-    run.alarms_s.append(1.05)
-    ends = {"onset_s": 1.0, "end_s": 1.1, "onset_m": 0.03, "drop_N": 1.0}
-    ends |= {"visible_drop_N": 1.0, "layer_friction_N": 1.0, "friction_N": 3.0}
-    run.ruptures = (Rupture(layer=1, **ends),)
+    rupture = Rupture(
+        onset_s=1.0,
+        end_s=1.1,
+        onset_m=0.03,
+        layer=1,
+        drop_N=1.0,
+        visible_drop_N=1.0,
+        layer_friction_N=1.0,
+        friction_N=3.0,
+    )
+    run = Teleinsertion(
+        t_s=[1e-3 * k for k in range(2000)],
+        tip_N=[1.0] * 1000 + [0.0] * 1000,
+        shown_N=[1.1] * 1000 + [0.1] * 1000,
+        raw_N=[4.0] * 1000 + [3.0] * 1000,
+        alarms_s=[1.05],
+        ruptures=(rupture,),
+    )
     (felt,) = ruptures_felt(run)
 
     assert felt == pytest.approx((1.0 / 1.1, 0.25, 0.1, 0.05), rel=1e-6)

@@ -1,7 +1,5 @@
 """Benchmarks on real recordings: known-good figures, broken files."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -18,19 +16,15 @@ def values(benchmark, data, seed=0):
 
     assert not result.failure
 
-    rows = result.rows.set_index(["source", "method", "metric"])
-    return rows["value"].to_dict()
+    return result.rows.set_index(["source", "method", "metric"])["value"].to_dict()
 
 
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
     numbers = values("panda-real", recordings_dir)
-    reached = [
-        numbers["virtual", "ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)
-    ]
 
-    assert reached == pytest.approx(
-        [0.38, 0.76, 0.38, 0.39, 0.15, 0.10, 0.06], abs=0.01
-    )
+    assert [
+        numbers["virtual", "ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)
+    ] == pytest.approx([0.38, 0.76, 0.38, 0.39, 0.15, 0.10, 0.06], abs=0.01)
 
 
 @pytest.mark.slow
@@ -72,10 +66,11 @@ def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):
     assert numbers["ft", "ours", "rupture_depth_error_mm"] < 1.0
 
 
-def test_an_empty_folder_is_named(tmp_path):
-    for name in ("panda-real", "panda-liver", "ur10e-payload"):
-        job = Job(benchmark=name, plant="recording", data=tmp_path)
-        assert run_job(job).failure.startswith("DataError: cannot read ")
+@pytest.mark.parametrize("name", ["panda-real", "panda-liver", "ur10e-payload"])
+def test_an_empty_folder_is_named(name, tmp_path):
+    job = Job(benchmark=name, plant="recording", data=tmp_path)
+
+    assert run_job(job).failure.startswith("DataError: cannot read ")
 
 
 @pytest.mark.parametrize("name", ["t_s", "empty", "bad"])
@@ -88,17 +83,18 @@ def test_arrays_that_are_missing_or_no_numbers_are_refused(name, tmp_path):
         read_arrays(path, ["good", name])
 
 
-def test_a_model_that_lacks_something_is_refused(tmp_path):
-    for read, folder in (
-        (panda.read_panda, tmp_path / panda.FOLDER),
-        (ur10e.read_ur10e, tmp_path / ur10e.FOLDER),
-    ):
-        folder.mkdir()
-        names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
-        np.savez(folder / "free_motion.npz", **{n: np.zeros((2, 7)) for n in names})
-        (folder / "model.json").write_text(json.dumps({"torque": 1}))
-        with pytest.raises(DataError, match=r"model\.json"):
-            read(tmp_path)
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [(panda.read_panda, panda.FOLDER), (ur10e.read_ur10e, ur10e.FOLDER)],
+)
+def test_a_model_that_lacks_something_is_refused(read, name, tmp_path):
+    folder = tmp_path / name
+    folder.mkdir()
+    names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    np.savez(folder / "free_motion.npz", **{n: np.zeros((2, 7)) for n in names})
+    (folder / "model.json").write_text('{"torque": 1}')
+    with pytest.raises(DataError, match=r"model\.json"):
+        read(tmp_path)
 
 
 def test_annotated_ruptures_are_found_missed_or_invented():

@@ -2,18 +2,23 @@
 
 import gzip
 import struct
+from contextlib import nullcontext
 from datetime import datetime
 
 import highdicom
 import numpy as np
 import pydicom
+import pytest
 import SimpleITK
 from highdicom.sr import CodedConcept
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
+from needleforce.anatomy import VolumeError
+
 SPACING_mm = np.array([0.8, 0.9, 1.25])
 ORIGIN_mm = np.array([-10.0, 20.0, 33.33])
+AXES = np.eye(3)
 
 
 def place_mm(index):
@@ -21,11 +26,34 @@ def place_mm(index):
     return ORIGIN_mm + SPACING_mm * np.asarray(index)
 
 
-def write_image(path, values, spacing_mm=(1.0, 1.0, 1.0), origin_mm=(0.0, 0.0, 0.0)):
-    """Write voxels (i, j, k) in the format of the name."""
-    image = SimpleITK.GetImageFromArray(np.ascontiguousarray(values.T))
-    image.SetSpacing(spacing_mm)
-    image.SetOrigin(origin_mm)
+def refused_if(is_wrong, word, error: type[Exception] = VolumeError):
+    """Expects that a volume, or something else, is refused with a word, or is not."""
+    return pytest.raises(error, match=word) if is_wrong else nullcontext()
+
+
+def write_image(
+    path,
+    values,
+    spacing_mm=(1.0, 1.0, 1.0),
+    origin_mm=(0.0, 0.0, 0.0),
+    axes=None,
+    fields=None,
+):
+    """Write voxels (i, j, k), or layers of such, in the format of the name.
+
+    Args:
+        axes: Directions of i, j and k as columns, if they are not x, y and z.
+        fields: Further fields of the header.
+    """
+    image = SimpleITK.GetImageFromArray(
+        np.ascontiguousarray(values.T), isVector=values.ndim > 3
+    )
+    image.SetSpacing(list(spacing_mm))
+    image.SetOrigin(list(origin_mm))
+    if axes is not None:
+        image.SetDirection(np.ravel(axes).tolist())
+    for key, text in (fields or {}).items():
+        image.SetMetaData(key, str(text))
     SimpleITK.WriteImage(image, str(path))
 
 
@@ -36,11 +64,10 @@ def patch(path, place, kind, *numbers):
     path.write_bytes(content)
 
 
-def ct_slices(shape, places_mm=None, turn=None, series=2):
+def ct_slices(shape, places_mm=None, axes=AXES, series=2):
     """Slices of a CT with (i, j, k) voxels, whose first pixels lie at places (k, 3)."""
     if places_mm is None:
         places_mm = [place_mm([0, 0, k]) for k in range(shape[2])]
-    axes = np.eye(3) if turn is None else turn
     slices = []
     for k, place in enumerate(places_mm):
         item = Dataset()
@@ -92,8 +119,10 @@ def write_series(folder, slices):
     """Write slices into a folder, one file each."""
     folder.mkdir(parents=True, exist_ok=True)
     for item in slices:
-        name = f"{item.SeriesNumber}-{item.InstanceNumber:03d}.dcm"
-        item.save_as(folder / name, enforce_file_format=True)
+        item.save_as(
+            folder / f"{item.SeriesNumber}-{item.InstanceNumber:03d}.dcm",
+            enforce_file_format=True,
+        )
 
 
 def segment(number, label, what, side=None):
@@ -106,9 +135,10 @@ def segment(number, label, what, side=None):
         "MANUAL",
     )
     if side is not None:
-        sides = pydicom.Sequence([CodedConcept("7771000", "SCT", side)])
-        terms = described.SegmentedPropertyTypeCodeSequence
-        terms[0].SegmentedPropertyTypeModifierCodeSequence = sides
+        (term,) = described.SegmentedPropertyTypeCodeSequence
+        term.SegmentedPropertyTypeModifierCodeSequence = pydicom.Sequence(
+            [CodedConcept("7771000", "SCT", side)]
+        )
     return described
 
 
@@ -120,30 +150,28 @@ def write_dicom_segmentation(path, masks, segments, kind="BINARY"):
     elif kind == "FRACTIONAL":
         stack = stack.astype(np.float32)
     uids = [pydicom.uid.UID(f"2.25.{number}") for number in (4, 5)]
-    slices = ct_slices(masks[0].shape)
     maker = ("needleforce", "test", "1", "1")
     highdicom.seg.Segmentation(
-        slices, stack, kind, segments, uids[0], 2, uids[1], 1, *maker
+        ct_slices(masks[0].shape),
+        *(stack, kind, segments, uids[0], 2, uids[1], 1, *maker),
     ).save_as(path)
 
 
 def slicer_tags(what, side="^^", region="^^"):
     """The tags of a segment of 3D Slicer: status and terms."""
-    category = "SCT^123037004^Anatomical Structure"
-    entry = f"General Anatomy~{category}~SCT^0^{what}~{side}"
+    entry = f"General Anatomy~SCT^123037004^Anatomical Structure~SCT^0^{what}~{side}"
     return f"Segmentation.Status:x|TerminologyEntry:{entry}~Codes~{region}~^^|"
 
 
 def write_seg_nrrd(path, layers, segments):
     """Write layers (i, j, k) and fields of segments as 3D Slicer does."""
-    values = np.stack(layers, axis=-1) if len(layers) > 1 else layers[0]
-    image = SimpleITK.GetImageFromArray(values.swapaxes(0, 2), values.ndim > 3)
-    image.SetSpacing(SPACING_mm.tolist())
-    image.SetOrigin(ORIGIN_mm.tolist())
-    for number, fields in enumerate(segments):
-        for key, text in {"ID": f"Segment_{number + 1}", **fields}.items():
-            image.SetMetaData(f"Segment{number}_{key}", str(text))
-    SimpleITK.WriteImage(image, str(path))
+    fields = {
+        f"Segment{number}_{key}": text
+        for number, segment in enumerate(segments)
+        for key, text in {"ID": f"Segment_{number + 1}", **segment}.items()
+    }
+    values = np.stack(layers) if len(layers) > 1 else layers[0]
+    write_image(path, values, SPACING_mm, ORIGIN_mm, fields=fields)
 
 
 def write_labels_with_table(path, values, table):
@@ -155,5 +183,6 @@ def write_labels_with_table(path, values, table):
     size = 16 * -(-(len(table) + 8) // 16)
     struct.pack_into("<f", content, 108, 352.0 + size)
     extension = struct.pack("<2i", size, 0) + table.ljust(size - 8, b"\0")
-    header = bytes(content[:348]) + b"\1\0\0\0" + extension
-    path.write_bytes(gzip.compress(header + content[352:]))
+    path.write_bytes(
+        gzip.compress(content[:348] + b"\1\0\0\0" + extension + content[352:])
+    )

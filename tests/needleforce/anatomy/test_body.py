@@ -16,9 +16,6 @@ from needleforce.anatomy import (
     VolumeError,
     read_labels,
 )
-
-pytest.importorskip("SimpleITK")
-
 from tests.needleforce.anatomy import made_files as made
 
 SHOWN_HU = {
@@ -38,14 +35,14 @@ class Case:
         self.grid = Grid(shape, np.array([-0.178, -0.126, -0.166]), 4e-3 * np.eye(3))
         self.values = torso.voxels(shape, self.grid.origin_m, self.grid.axes_m)
         units = [-1000.0, *(SHOWN_HU[shape.name] for shape in torso.shapes)]
-        noise = rng.normal(0.0, 20.0, shape)
-        self.scan = Volume(np.array(units)[self.values] + noise, self.grid)
+        shown_HU = np.array(units)[self.values] + rng.normal(0.0, 20.0, shape)
+        self.scan = Volume(shown_HU, self.grid)
         self.structures = [
             Structure.named(shape.name, k) for k, shape in enumerate(torso.shapes, 1)
         ]
 
     def labels(self, values=None, grid=None):
-        chosen = self.values if values is None else np.ascontiguousarray(values)
+        chosen = np.ascontiguousarray(self.values if values is None else values)
         return Labels.of([chosen], grid or self.grid, self.structures)
 
 
@@ -150,8 +147,11 @@ def test_structures_that_lie_the_wrong_way_round_are_refused(tmp_path, places, w
 @pytest.mark.parametrize("is_inverse", [False, True])
 def test_liver_and_spleen_must_be_right_whatever_else_is(tmp_path, count, is_inverse):
     side = -1 if is_inverse else 1
-    ribs = {f"rib_left_{k}": (10, 0, k) for k in range(count)}
-    ribs |= {f"rib_right_{k}": (-10, 0, k) for k in range(count)}
+    ribs = {
+        f"rib_{name}_{k}": (x_cm, 0, k)
+        for name, x_cm in (("left", 10), ("right", -10))
+        for k in range(count)
+    }
     places = {"liver": (-6 * side, 5, 0), "spleen": (6 * side, 5, 0), **ribs}
     blocks(tmp_path, places, situs_inversus=is_inverse)
     with pytest.raises(VolumeError, match="situs"):
@@ -223,7 +223,7 @@ def test_the_body_on_another_grid_is_that_of_the_nearest_voxel(turn, step, shift
     voxel = np.rint(target.indices(middle_m)).astype(int)
     values[tuple(np.minimum(voxel, np.array(target.shape) - 1))] = 1
     scan = Volume(np.where(inside, 40, -1000).astype(np.int16), source)
-    found = part(values, target).with_body(scan)
+    body = part(values, target).with_body(scan).volumes[1]
     expected = ndimage.affine_transform(
         inside.astype(np.uint8),
         turn * step,
@@ -234,25 +234,24 @@ def test_the_body_on_another_grid_is_that_of_the_nearest_voxel(turn, step, shift
     )
 
     # Ties between two voxels may go either way.
-    assert np.count_nonzero(found.volumes[1] != expected) < 2e-4 * expected.size
+    assert np.count_nonzero(body != expected) < 2e-4 * expected.size
 
 
 @pytest.mark.parametrize("back", [1.0, -1.0])
 def test_a_couch_that_touches_the_back_is_no_body(back):
     """A trunk that tapers on a hollow couch of 400 x 20 mm, which it touches."""
-    sides = (4e-3 * (np.arange(n) - n / 2) for n in (120, 80, 40))
+    steps_m = ((120, 4e-3), (80, back * 4e-3), (40, 4e-3))
+    sides = (step_m * (np.arange(n) - n / 2) for n, step_m in steps_m)
     x_m, y_m, z_m = np.meshgrid(*sides, indexing="ij")
-    y_m = back * y_m
     # From front to back, 64 to 96 mm.
     trunk = (x_m / 0.15) ** 2 + (y_m / (0.08 + 0.1 * z_m)) ** 2 < 1.0
     depth_m = y_m - 0.088  # it reaches into the upper sections' back
     couch = (np.abs(x_m) < 0.2) & (depth_m >= 0.0) & (depth_m < 0.02)
     filling = (np.abs(x_m) < 0.19) & (depth_m >= 5e-3) & (depth_m < 15e-3)
-    scan_HU = np.where(trunk | couch, 40, -1000)
-    scan_HU[filling] = -950
+    scan_HU = np.select([filling, trunk | couch], [-950, 40], -1000)
     grid = Grid(trunk.shape, np.zeros(3), np.diag([4e-3, back * 4e-3, 4e-3]))
-    labels = part(trunk, grid).with_body(Volume(scan_HU.astype(np.int16), grid))
-    body = labels.volumes[1] > 0
+    scan = Volume(scan_HU.astype(np.int16), grid)
+    body = part(trunk, grid).with_body(scan).volumes[1] > 0
     alone = trunk & (depth_m <= 0.0) & ~couch
 
     assert (body & couch).sum() < 0.02 * couch.sum()
@@ -283,14 +282,11 @@ def test_what_is_dense_as_bone_and_not_labelled_is_an_obstacle():
     labels = Labels.of([volume], grid, structures)
     found = labels.with_dense(Volume(values, grid))
     near = found.clearances([0.0, 0.0215, 0.02], [0.039, 0.0215, 0.02])[0]
+    soft = Volume(np.minimum(values, 100.0), grid)
 
     assert found["dense_as_bone"].voxels == 4 * 4 * 40 == found["rib_left_7"].voxels
-    assert (near.name, near.distance_m, near.is_obstacle) == (
-        "dense_as_bone",
-        0.0,
-        True,
-    )
-    soft = Volume(np.minimum(values, 100.0), grid)
+    seen = (near.name, near.distance_m, near.is_obstacle)
+    assert seen == ("dense_as_bone", 0.0, True)
     assert labels.with_dense(soft).structures == labels.structures
 
 
@@ -322,5 +318,4 @@ def test_names_say_what_stops_a_needle_and_what_is_at_risk(name, is_obstacle, is
     assert (structure.is_obstacle, structure.is_risk) == (is_obstacle, is_risk)
     assert all(0.0 <= shade <= 1.0 for shade in structure.colour)
     coded = replace(Structure.named("x1", 1, kind="Rib"), volume=1)
-    assert coded.is_obstacle
-    assert coded.anatomy == "Rib"
+    assert (coded.is_obstacle, coded.anatomy) == (True, "Rib")

@@ -9,9 +9,6 @@ from needleforce.cli import main
 pytestmark = pytest.mark.slow
 
 
-pytest.importorskip("skimage")
-
-
 def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("needleforce.simulation.patient.SPEED_m_s", 6e-3)
 
@@ -31,5 +28,4 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     assert len(re.findall(r"^rupture \d", said, re.MULTILINE)) == int(off[3])
     assert float(off[1]) == pytest.approx(abs(shift), abs=1.0)
     assert float(off[2]) < 1.5
-    pytest.importorskip("viser")
     assert (tmp_path / "scene.html").stat().st_size > 100_000

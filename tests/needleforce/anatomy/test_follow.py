@@ -77,9 +77,6 @@ def whole():
 def test_estimates_name_layer_next_boundary_and_offset(whole):
     """Estimates name the layer, the next boundary and the offset."""
     estimates, snapshots = whole
-
-    assert estimates[TARE - 1].plan is None
-
     (alarm,) = [
         k for k, e in enumerate(estimates) if e.identification.rupture is not None
     ]
@@ -87,24 +84,21 @@ def test_estimates_name_layer_next_boundary_and_offset(whole):
         estimates[k].plan for k in (TARE + 200, alarm - 1000, alarm + 200)
     )
 
+    assert estimates[TARE - 1].plan is None
     assert [(one.name, one.next_name) for one in (above, inside, behind)] == [
         (OUTSIDE, "gel"),
         ("gel", "behind"),
         ("behind", ""),
     ]
-    assert snapshots[TARE - 50].plan.contact_m is None
-    assert snapshots[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
-    assert above.next_m == pytest.approx(SURFACE_m, abs=1e-3)
+    contacts_m = [snapshots[k].plan.contact_m for k in (TARE - 50, TARE + 4000)]
+    assert contacts_m == [None, pytest.approx(SURFACE_m, abs=0.5e-3)]
+    assert (above.next_m, behind.offset_m) == pytest.approx(
+        (SURFACE_m, SHIFT_m), abs=1e-3
+    )
     assert abs(inside.next_m - SURFACE_m - GEL_m) < 3.0 * inside.next_std_m
     assert behind.matched == 1
-    assert behind.offset_m == pytest.approx(SHIFT_m, abs=1e-3)
     assert behind.offset_std_m < inside.offset_std_m
     assert min(one.probability for one in (above, inside, behind)) > 0.8
-
-
-def through_file(snapshot, folder):
-    write_snapshot(snapshot, folder / "s")
-    return read_snapshot(folder / "s")
 
 
 @pytest.mark.parametrize("where", ["file", "pickle", "copy"])
@@ -113,8 +107,8 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
     for cut, snapshot in snapshots.items():
         session = InsertionSession(RUN.robot)
         session.follow(MATCH, path=PATH)
-        is_file = where == "file"
-        session.restore(through_file(snapshot, tmp_path) if is_file else snapshot)
+        write_snapshot(snapshot, tmp_path / "s")
+        session.restore(read_snapshot(tmp_path / "s") if where == "file" else snapshot)
         if where == "copy":
             session = copy.deepcopy(session)
         elif where == "pickle":
@@ -136,9 +130,9 @@ def test_restoring_with_another_plan_changes_nothing(whole):
         (MATCH, PATH, stopped_after(TARE)),
     ]:
         session = InsertionSession(RUN.robot)
+        session.follow(plan, path=path)
         with pytest.raises(InsertionError, match="list"):
             session.follow(layers("gel", "behind"))
-        session.follow(plan, path=path)
         unchanged = session.snapshot()
         with pytest.raises(InsertionError, match="plan"):
             session.restore(refused_snapshot)
@@ -178,8 +172,8 @@ def test_a_retracted_alarm_restores_the_plan():
     for depth_m, rupture in ((0.0125, alarm), (5e-3, SimpleNamespace(depth_m=5e-3))):
         follower.match(quiet._replace(rupture=rupture), depth_m, None)
 
-    assert follower.memory.ruptures == ((5.0, 0.012),)
-    assert follower.memory.deepest_m == 0.0125
+    reached = (follower.memory.ruptures, follower.memory.deepest_m)
+    assert reached == (((5.0, 0.012),), 0.0125)
 
 
 @pytest.fixture
@@ -200,10 +194,9 @@ def written(folder, **plan):
 
 
 def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
-    ends = (SURFACE_m + GEL_m - SHIFT_m, SURFACE_m + GEL_m + 0.05)
     named = [
-        {"name": n, "exit_m": end}
-        for n, end in zip(("gel", "behind"), ends, strict=True)
+        {"name": "gel", "exit_m": SURFACE_m + GEL_m - SHIFT_m},
+        {"name": "behind", "exit_m": SURFACE_m + GEL_m + 0.05},
     ]
     path = written(tmp_path, start_m=SURFACE_m, layers=named)
 
@@ -228,14 +221,14 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
 
         def read(self):
             k = next(self.numbers)
-            is_lost = k % 100 == 0 or k > TARE + 15_000
-            weight = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
-            return None if is_lost else RUN.signals.ft_wrench[k] + weight
+            if k % 100 == 0 or k > TARE + 15_000:
+                return None
+            return RUN.signals.ft_wrench[k] + np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
 
     monkeypatch.setattr(arm_watch, "NetFT", Sensor)
-    options = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
 
-    assert main(["live", arm, *options]) == 0
+    reference = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
+    assert main(["live", arm, *reference]) == 0
 
     said = capsys.readouterr()
     summary = re.search(

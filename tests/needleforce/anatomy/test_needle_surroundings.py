@@ -18,8 +18,8 @@ from needleforce.needle_on_plan import (
 )
 from needleforce.plan_follower import PlanFollower
 from needleforce.ros2.reports import plan_reports
+from needleforce.scene import PlanScene
 from needleforce.scene.insertion_card import card_html
-from needleforce.scene.nodes import PlanScene
 from needleforce.scene.words import find_banner
 from tests.needleforce.anatomy.test_path import (
     TURN,
@@ -27,6 +27,7 @@ from tests.needleforce.anatomy.test_path import (
     surroundings,
     to_robot,
 )
+from tests.needleforce.scene.insertions import tick
 
 AXIS = np.array([0.0, 0.0, 1.0])
 ENTRY_m, TARGET_m = PLANNED_m
@@ -45,34 +46,6 @@ def test_too_near_is_one_event_stops_autonomy_and_is_said_everywhere():
         events.append([event.kind for event in follower.take_events()])
 
     assert events == [[], [], ["too_near"], [], []]
-
-
-def estimate_of(deviation, clearances):
-    """What a session says of a needle that is where it is."""
-    identification = SimpleNamespace(
-        rupture=None,
-        retracted=None,
-        hard_contact=None,
-        identified_layer=None,
-        tip_force_N=0.5,
-        tip_force_std_N=0.1,
-        shaft_friction_N=0.1,
-        enhanced_force_N=0.7,
-        layer=1,
-    )
-    return SimpleNamespace(
-        time_s=1.0,
-        depth_m=0.04,
-        depth_in_tissue_m=None,
-        speed_m_s=0.0,
-        status=SimpleNamespace(value="ok"),
-        wrench=SimpleNamespace(axial=1.0, axial_std=0.1, message=""),
-        identification=identification,
-        plan=None,
-        plan_events=(),
-        deviation=deviation,
-        clearances=clearances,
-    )
 
 
 @pytest.mark.parametrize(
@@ -97,51 +70,46 @@ def test_live_scene_report_json_and_ros_say_the_same(
     axis = TURN.apply(AXIS)
     deviation = path.deviation(tip_m, axis)
     clearances = around.clearances(tip_m, axis)
-    estimate = estimate_of(deviation, clearances)
-
-    json = state_values(deviation, clearances)
-    assert json["verdict"] == verdict
-    assert set(json["clearances"]) == {"portal_vein", "rib_left_7"}
-
+    estimate = tick(1.0, 0.04, deviation=deviation, clearances=clearances)
     live = " ".join(describe_values(estimate, None))
-    for text in (
-        describe_deviation(deviation),
-        describe_clearances(clearances),
-        too_near,
-    ):
-        assert text in live
-    assert ("TOO NEAR" in live) is bool(too_near)
-
+    json = state_values(deviation, clearances)
     (ros,) = plan_reports("needle", estimate)
-    assert ros.values["verdict"] == verdict
-    assert too_near in ros.message
-    assert (ros.level == 0) is (verdict == "on plan")
-    for name, one in json["clearances"].items():
-        for key in one.keys() - {"is_too_near"}:
-            assert float(ros.values[f"clearance/{name}/{key}"]) == pytest.approx(
-                one[key], rel=1e-3
-            )
+    scene = PlanScene((), (), path.entry_m, path.target_m, watched=around.names)
+    card = card_html(estimate, None, scene)
+    report = Result(log="log", title="Plan")
+    doubts = add_place_on_plan(report, deviation, clearances, 0.0)
 
-    assert find_banner(estimate) == ("" if verdict == "on plan" else verdict)
-    plan = PlanScene(
-        (), (), to_robot(ENTRY_m), to_robot(TARGET_m), watched=around.names
+    watched = {"portal_vein", "rib_left_7"}
+    assert (json["verdict"], {*json["clearances"]}) == (verdict, watched)
+    numbers = {
+        f"clearance/{name}/{key}": one[key]
+        for name, one in json["clearances"].items()
+        for key in one.keys() - {"is_too_near"}
+    }
+    assert {key: float(ros.values[key]) for key in numbers} == pytest.approx(
+        numbers, rel=1e-3
     )
-    card = card_html(estimate, None, plan)
+    is_right = verdict == "on plan"
+    said = (ros.values["verdict"], ros.level == 0, find_banner(estimate))
+    assert said == (verdict, is_right, "" if is_right else verdict)
+    place = describe_deviation(deviation)
     part = "its way ahead" if clearances[0].is_ahead else "the needle"
-    for text in (f"{1e3 * clearances[0].distance_m:.1f} ± 0.5 mm", f"from {part}"):
-        assert text in card
-    assert ("TOO NEAR: " in card) is bool(too_near)
-
-    found = Result(log="log", title="Plan")
-    doubts = add_place_on_plan(found, deviation, clearances, 0.0)
-    assert any(too_near in text for text in ["", *doubts])
-    assert any(describe_deviation(deviation) in text for text in found.sentences)
-    assert f'"verdict": "{verdict}"'.encode() in found.files["needle_on_plan.json"]
+    for text, words in (
+        *((text, live) for text in (place, describe_clearances(clearances), too_near)),
+        (f"{1e3 * clearances[0].distance_m:.1f} ± 0.5 mm", card),
+        (f"from {part}", card),
+        (too_near, ros.message),
+        (too_near, "".join(doubts)),
+        (place, "".join(report.sentences)),
+        (f'"verdict": "{verdict}"', report.files["needle_on_plan.json"].decode()),
+    ):
+        assert text in words
+    assert ["TOO NEAR" in live, "TOO NEAR: " in card] == [bool(too_near)] * 2
 
     monitors = Monitors.__new__(Monitors)
     monitors._limits = SafetyLimits(axial_N=100.0)
     for state in (State.INSERTION, State.TELEOP):
         monitors._state = state
-        is_stopped = bool(monitors._check_plan(estimate))
         is_wrong = bool(too_near) or verdict == "past target"
-        assert is_stopped is (is_wrong and state is State.INSERTION)
+        is_stopped = is_wrong and state is State.INSERTION
+        assert bool(monitors._check_plan(estimate)) is is_stopped

@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import SimpleITK
 
-pytest.importorskip("matplotlib")
-SimpleITK = pytest.importorskip("SimpleITK")
-
-from needleforce.anatomy.markups import read_markup, write_markup  # noqa: E402
-from needleforce.cli import main  # noqa: E402
-from needleforce.plan_file import PlanFileError, read_plan  # noqa: E402
-from tests.needleforce.anatomy import made_files as made  # noqa: E402
+from needleforce.anatomy.markups import read_markup, write_markup
+from needleforce.cli import main
+from needleforce.plan_file import PlanFileError, read_plan
+from tests.needleforce.anatomy import made_files as made
 
 pytestmark = pytest.mark.slow
 
@@ -44,9 +42,18 @@ def folder(tmp_path_factory):
         yield place
 
 
+def load(path):
+    return json.loads(Path(path).read_bytes())
+
+
 @pytest.fixture
 def fields(folder):
-    return json.loads((folder / "plan" / "plan.json").read_bytes())
+    return load(folder / "plan" / "plan.json")
+
+
+def obey(line):
+    """Run a command that must succeed."""
+    assert main(shlex.split(line)) == 0
 
 
 def run(capsys, line):
@@ -64,16 +71,16 @@ def read(fields, name="wrong.json"):
     return read_plan(path)
 
 
-def test_the_registered_plan_lies_where_the_patient_is(folder, fields):
-    plan = read_plan(folder / "plan" / "plan.json")
-    markup = read_markup(folder / "patient" / "landmarks.mrk.json")
-    touched = json.loads((folder / "touches.json").read_bytes())
+def test_the_registered_plan_lies_where_the_patient_is(fields):
+    plan = read_plan("plan/plan.json")
+    landmarks_m = read_markup("patient/landmarks.mrk.json").points_m
+    touched = load("touches.json")
     places_m = [landmark["place_m"] for landmark in touched["landmarks"]]
-    error_m = plan.scene.to_robot(markup.points_m) - places_m
+    error_m = plan.scene.to_robot(landmarks_m) - places_m
     # The simulated needle points straight down at the planned entry.
     axis = plan.scene.to_robot(plan.scene.target_m) - plan.path.entry_m
-    line = read_markup(folder / "plan" / "path.mrk.json")
-    page = (folder / "plan" / "index.html").read_text(encoding="utf-8")
+    line_m = read_markup("plan/path.mrk.json").points_m
+    page = Path("plan/index.html").read_text(encoding="utf-8")
 
     assert (plan.warnings, len(commands()), len(touched["touches_m"])) == ((), 5, 40)
     assert np.linalg.norm(error_m, axis=1).max() < 3e-3
@@ -81,7 +88,7 @@ def test_the_registered_plan_lies_where_the_patient_is(folder, fields):
     assert set(fields["made_of"]["avoided"]) == set(plan.surroundings.names)
     assert axis[2] / np.linalg.norm(axis) < -0.999
     ends_m = [fields["entry_m"], fields["target_m"]]
-    np.testing.assert_allclose(line.points_m, ends_m, atol=1e-6)
+    np.testing.assert_allclose(line_m, ends_m, atol=1e-6)
     assert page.count("data:image/png") == 2
     assert re.search(
         "not a medical device.*vessel|vessel.*not a medical", page, re.DOTALL
@@ -93,9 +100,9 @@ def test_what_a_registration_leaves_is_reported(capsys, fields):
         "register --plan plan --landmarks patient/landmarks.mrk.json "
         "--touches touches.json -o"
     )
-    assert main(shlex.split(f"{register} again.json")) == 0
+    obey(f"{register} again.json")
     said = capsys.readouterr().out
-    again = json.loads(Path("again.json").read_bytes())
+    again = load("again.json")
     error_mm = 1e3 * again["registration"]["target_error_rms_m"]
     region_mm = [float(one) for one in re.findall(r"(\d+\.\d)(?= x | mm \(half)", said)]
 
@@ -107,8 +114,8 @@ def test_what_a_registration_leaves_is_reported(capsys, fields):
     assert 1.4 * error_mm < np.linalg.norm(region_mm) < 6.0 * error_mm
     # The layers are as uncertain as registration and organs together.
     assert 3e-3 < again["offset_std_m"] < np.hypot(3e-3, 1e-3 * error_mm)
-    assert main(shlex.split(f"{register} alone.json --landmarks-only --motion 0")) == 0
-    few = json.loads(Path("alone.json").read_bytes())
+    obey(f"{register} alone.json --landmarks-only --motion 0")
+    few = load("alone.json")
     assert few["offset_std_m"] != pytest.approx(again["offset_std_m"], rel=0.1)
     assert few["registration"]["touch_distances_m"] == []
 
@@ -118,8 +125,7 @@ def test_the_last_command_names_the_lesion(capsys, monkeypatch):
     monkeypatch.setattr("needleforce.simulation.patient.SPEED_m_s", 10e-3)
 
     assert main(commands()[-1]) == 0
-    captured = capsys.readouterr()
-    said = captured.out + captured.err
+    said = "".join(capsys.readouterr())
     assert re.search(r"rupture of layer \d .*by the plan into lesion", said)
 
 
@@ -208,13 +214,11 @@ def test_a_path_past_a_rib_is_refused_however_the_rib_is_called(
     values[10:14, 14:, :] = 1
     values[20:, :13, :] = 2
     made.write_image(tmp_path / "labels.nii.gz", values)
-    plan = {"entry_m": [0.0, 0.01, 0.015], "target_m": [0.028, 0.01, 0.015]}
-    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "plan.json").write_text(
+        '{"entry_m": [0.0, 0.01, 0.015], "target_m": [0.028, 0.01, 0.015]}'
+    )
     (tmp_path / "labels.json").write_text(json.dumps({"1": name, "2": "muscle"}))
-    if is_refused:
-        with pytest.raises(PlanFileError, match=name):
-            read_plan(tmp_path)
-    else:
+    with made.refused_if(is_refused, name, PlanFileError):
         assert read_plan(tmp_path).warnings
 
 
@@ -227,9 +231,9 @@ def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(capsys, fie
     line = REGISTER.format("ras.mrk.json", "touches.json")
 
     assert "--negate-xy" in run(capsys, line)
-    assert main(shlex.split(f"{line} --negate-xy -o negated.json")) == 0
-    again = json.loads(Path("negated.json").read_bytes())
-    np.testing.assert_allclose(again["rotation"], fields["rotation"], atol=1e-3)
+    obey(f"{line} --negate-xy -o negated.json")
+    turn = load("negated.json")["rotation"]
+    np.testing.assert_allclose(turn, fields["rotation"], atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -249,7 +253,7 @@ def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(capsys, fie
     ],
 )
 def test_touches_that_do_not_fit_are_refused(capsys, change, word):
-    touched = json.loads(Path("touches.json").read_bytes())
+    touched = load("touches.json")
     change(touched)
     Path("wrong.json").write_text(json.dumps(touched), encoding="utf-8")
     line = REGISTER.format("patient/landmarks.mrk.json", "wrong.json")
@@ -260,10 +264,9 @@ def test_touches_that_do_not_fit_are_refused(capsys, change, word):
 @pytest.fixture(scope="module")
 def by_transform(folder):
     """The command that registers by the transform that the landmarks gave."""
-    fields = json.loads((folder / "plan" / "plan.json").read_bytes())
-    motion = SimpleITK.AffineTransform(3)
-    motion.SetMatrix(np.ravel(fields["rotation"]).tolist())
-    motion.SetTranslation((1e3 * np.array(fields["translation_m"])).tolist())
+    fields = load(folder / "plan" / "plan.json")
+    shift_mm = (1e3 * np.array(fields["translation_m"])).tolist()
+    motion = SimpleITK.AffineTransform(np.ravel(fields["rotation"]).tolist(), shift_mm)
     SimpleITK.WriteTransform(motion, str(folder / "itk.tfm"))
     return "register --transform itk.tfm --plan "
 
@@ -293,16 +296,14 @@ def test_a_transform_registers_and_obstacles_are_judged_with_its_deviation(
     capsys, by_transform, fields
 ):
     ct = "--ct patient/ct.nii.gz --labels patient/labels.nii.gz --target lesion"
-    wide = f"plan {ct} --passable vessel --margin 55 -o wide"
-    assert main(shlex.split(wide)) == 0
-    assert main(shlex.split(f"{by_transform} plan {RIGHT} -o right.json")) == 0
-    moved = json.loads(Path("right.json").read_bytes())
-    np.testing.assert_allclose(moved["rotation"], fields["rotation"], atol=1e-9)
+    obey(f"plan {ct} --passable vessel --margin 55 -o wide")
+    obey(f"{by_transform} plan {RIGHT} -o right.json")
+    turn = load("right.json")["rotation"]
+    np.testing.assert_allclose(turn, fields["rotation"], atol=1e-9)
     assert read_plan("right.json").path is not None
-    said = run(capsys, f"{by_transform} wide --transform-from itk --transform-std 1")
-    assert "rib_right" in said
-    quiet = "--transform-from itk --transform-std 0.2"
-    assert main(shlex.split(f"{by_transform} wide {quiet} -o wide/plan.json")) == 0
+    wide = f"{by_transform} wide --transform-from itk --transform-std"
+    assert "rib_right" in run(capsys, f"{wide} 1")
+    obey(f"{wide} 0.2 -o wide/plan.json")
     assert read_plan("wide").surroundings is not None
 
 
@@ -344,12 +345,10 @@ def test_labels_without_names_are_listed_and_mapped(capsys, fields):
     assert "label_6" in run(capsys, line)
     assert "label_5" in run(capsys, f"{line} --structures {some},6=lesion")
     names = f"--structures {some},5=vessel,6=lesion"
-    assert main(shlex.split(f"{line} {names} -o mapped")) == 0
-    plan = json.loads(Path("mapped/plan.json").read_bytes())
-    assert (plan["structures"]["label_2"], plan["entry_m"]) == (
-        "rib",
-        fields["entry_m"],
-    )
+    obey(f"{line} {names} -o mapped")
+    plan = load("mapped/plan.json")
+    found = (plan["structures"]["label_2"], plan["entry_m"])
+    assert found == ("rib", fields["entry_m"])
     keys = ("rotation", "translation_m", "covariance", "pivot_m", "registration")
     registered = plan | {key: fields[key] for key in keys}
     Path("mapped/plan.json").write_text(json.dumps(registered), encoding="utf-8")
@@ -363,19 +362,17 @@ def test_a_point_is_a_target_and_a_line_a_path(capsys, fields):
     write_markup("line.mrk.json", "Line", ["b", "a"], np.array([ends_m[1], outside_m]))
     for name in ("point", "line"):
         line = PLAN.format("patient/labels.nii.gz", f"{name}.mrk.json")
-        assert main(shlex.split(f"{line} --passable liver -o {name}")) == 0
-        plan = json.loads(Path(f"{name}/plan.json").read_bytes())
+        obey(f"{line} --passable liver -o {name}")
+        plan = load(f"{name}/plan.json")
         np.testing.assert_allclose(plan["target_m"], ends_m[1], atol=1e-6)
     np.testing.assert_allclose(plan["entry_m"], ends_m[0], atol=3e-3)
     # A line is judged as a path that is offered: what it must avoid stays clear of it.
-    line = PLAN.format("patient/labels.nii.gz", "line.mrk.json")
     assert "rib_right" in run(capsys, f"{line} --margin 60")
     assert "liver" in run(capsys, f"{line} --avoid liver --margin 20")
 
 
 def test_keys_record_undo_and_end(capsys, monkeypatch):
-    openpty = pytest.importorskip("pty").openpty
-    keyboard, terminal = openpty()
+    keyboard, terminal = pytest.importorskip("pty").openpty()
     # Before the first moment Enter records nothing; two lines then are one too many.
     os.write(keyboard, b"\n\nu\n\n\nQ\n")
     with os.fdopen(terminal, encoding="utf-8") as typed:
@@ -383,9 +380,7 @@ def test_keys_record_undo_and_end(capsys, monkeypatch):
         assert main(shlex.split("touch sim:plan/plan.json -o keys.json")) == 0
     os.close(keyboard)
 
-    assert len(json.loads(Path("keys.json").read_bytes())["touches_m"]) == 2
-    captured = capsys.readouterr()
-    assert "undone" in captured.out + captured.err
-    for options in ("--count -1", "--contact 0"):
-        line = f"touch sim:plan/plan.json {options}"
-        assert options.split()[0] in run(capsys, line)
+    assert len(load("keys.json")["touches_m"]) == 2
+    assert "undone" in "".join(capsys.readouterr())
+    for option, value in (("--count", -1), ("--contact", 0)):
+        assert option in run(capsys, f"touch sim:plan/plan.json {option} {value}")

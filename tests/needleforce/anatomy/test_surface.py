@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from needleforce.anatomy import Grid, Labels, Structure, Surface
 
-pytest.importorskip("skimage")
-trimesh = pytest.importorskip("trimesh")
 ORIGIN_m = np.array([0.1, -0.2, 0.3])
 
 
@@ -33,8 +32,9 @@ def test_an_ellipsoid_comes_back(spacing_mm, sign):
 
     assert surface.mesh.is_volume
     assert np.sqrt(np.mean(away_m**2)) < 0.16 * np.cbrt(spacing_m.prod())
-    voxels_m3 = labels["part"].voxels * labels.grid.voxel_m3
-    assert surface.mesh.volume == pytest.approx(voxels_m3, rel=1e-6)
+    assert surface.mesh.volume == pytest.approx(
+        labels["part"].voxels * labels.grid.voxel_m3, rel=1e-6
+    )
 
 
 SHAPES = {
@@ -87,13 +87,13 @@ def test_the_nearest_of_large_and_small_triangles_is_found(count):
     corners[-1, 2] = 0.5 * (corners[-1, 0] + corners[-1, 1]) + 1e-9  # a sliver
     points = (2.0 * rng.normal(size=(60, 3))).repeat(count, axis=0)
     triangles = np.arange(3 * count).reshape(count, 3)
-    surface = Surface("part", corners.reshape(-1, 3), triangles)
-    places, normals = surface.nearest(points)
+    places, normals = Surface("part", corners.reshape(-1, 3), triangles).nearest(points)
     every = trimesh.triangles.closest_point(np.tile(corners, (60, 1, 1)), points)
     gaps = np.linalg.norm(every - points, axis=1).reshape(60, count).min(axis=1)
 
-    distances = np.linalg.norm(places - points, axis=1)
-    np.testing.assert_allclose(distances, gaps.repeat(count), atol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.norm(places - points, axis=1), gaps.repeat(count), atol=1e-6
+    )
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
@@ -107,7 +107,8 @@ def test_mean_normals_weigh_triangles_by_area_on_the_same_side():
     areas = counts * mesh.area_faces
     expected = areas @ mesh.face_normals / areas.sum(axis=1, keepdims=True)
 
-    means = surface.mean_normals(places, facets, 12e-3)
-    np.testing.assert_allclose(means, expected, atol=1e-12)
+    np.testing.assert_allclose(
+        surface.mean_normals(places, facets, 12e-3), expected, atol=1e-12
+    )
     # Farther from every middle than the reach: the normal itself.
     np.testing.assert_array_equal(surface.mean_normals(places, facets, 1e-9), facets)

@@ -6,6 +6,7 @@ import pytest
 from needleforce.anatomy.touch_detector import TouchDetector
 
 DT_s = 5e-3
+ZERO_N = np.zeros(3)
 
 
 def touches(*stays, contact_N=0.5):
@@ -25,9 +26,6 @@ def touches(*stays, contact_N=0.5):
     return [touch for touch in found if touch is not None]
 
 
-ZERO_N = np.zeros(3)
-
-
 def test_a_place_is_touched_once_while_the_tip_rests_there():
     [touch] = touches((0.1, 1.0, 0.0))
 
@@ -35,16 +33,19 @@ def test_a_place_is_touched_once_while_the_tip_rests_there():
     assert touch.force_N == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.parametrize(("force_N", "count"), [(0.45, 0), (0.55, 1)])
-def test_a_touch_needs_the_force_of_a_contact(force_N, count):
-    assert len(touches((0.1, force_N, 0.0))) == count
-
-
-@pytest.mark.parametrize(("tremble_m", "count"), [(0.6e-3, 1), (0.85e-3, 0)])
-def test_a_tip_rests_within_0_7_mm(tremble_m, count):
-    assert len(touches((0.1, 1.0, tremble_m))) == count
-
-
-@pytest.mark.parametrize(("apart_m", "count"), [(3.5e-3, 1), (4.5e-3, 2)])
-def test_places_less_than_4_mm_apart_are_one_touch(apart_m, count):
-    assert len(touches((0.1, 1.0, 0.0), (0.1 + apart_m, 1.0, 0.0))) == count
+@pytest.mark.parametrize(
+    ("stays", "count"),
+    [
+        # It takes the force of a contact, 0.5 N.
+        ([(0.1, 0.45, 0.0)], 0),
+        ([(0.1, 0.55, 0.0)], 1),
+        # The tip rests within 0.7 mm.
+        ([(0.1, 1.0, 0.6e-3)], 1),
+        ([(0.1, 1.0, 0.85e-3)], 0),
+        # Places less than 4 mm apart are one.
+        ([(0.1, 1.0, 0.0), (0.1035, 1.0, 0.0)], 1),
+        ([(0.1, 1.0, 0.0), (0.1045, 1.0, 0.0)], 2),
+    ],
+)
+def test_a_touch_needs_force_and_rest_at_a_place_of_its_own(stays, count):
+    assert len(touches(*stays)) == count

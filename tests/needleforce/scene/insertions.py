@@ -25,12 +25,15 @@ def tick(time_s, depth_m=0.0, *, rupture=None, retracted=None, status="ok", **mo
         hard_contact=None,
         identified_layer=None,
     )
-    values = {"depth_in_tissue_m": None, "plan": None, "deviation": None}
-    values |= {"clearances": (), "plan_events": ()}
+    values = {
+        **{"depth_in_tissue_m": None, "plan": None, "deviation": None},
+        **{"clearances": (), "plan_events": ()},
+    }
     return SimpleNamespace(
         time_s=time_s,
         depth_m=depth_m,
-        wrench=SimpleNamespace(axial=20.0 * depth_m, axial_std=0.05),
+        speed_m_s=0.0,
+        wrench=SimpleNamespace(axial=20.0 * depth_m, axial_std=0.05, message=""),
         identification=identification,
         status=SimpleNamespace(value=status),
         **(values | more),
@@ -85,9 +88,11 @@ def planned(layer, next_m, matched=-1):
     names = ["fat", "liver", "rib", ""]
     into = names[matched] if matched >= 0 else "a false alarm"
     name = names[layer] if layer >= 0 else "outside"
-    numbers = (0.93, 2e-3, 0.4e-3)
-    following = (names[layer + 1], next_m, 0.5e-3)
-    return PlanState(layer, name, *numbers, *following, matched, into, 0.97, False)
+    return PlanState(
+        *(layer, name, 0.93, 2e-3, 0.4e-3),
+        *(names[layer + 1], next_m, 0.5e-3),
+        *(matched, into, 0.97, False),
+    )
 
 
 def plan():
@@ -111,9 +116,13 @@ def plan():
         SimpleNamespace(name="liver", exit_m=0.05, is_obstacle=False),
         SimpleNamespace(name="rib", exit_m=0.08, is_obstacle=True),
     ]
-    entry_m = np.array([-0.6, 0.0, 0.3])
-    target_m = np.array([-0.6, 0.0, 0.2])
-    return PlanScene(surfaces, layers, entry_m, target_m, watched=("rib", "vein"))
+    return PlanScene(
+        surfaces,
+        layers,
+        entry_m=np.array([-0.6, 0.0, 0.3]),
+        target_m=np.array([-0.6, 0.0, 0.2]),
+        watched=("rib", "vein"),
+    )
 
 
 def scanned(bright_m, tip_m, axis):
@@ -128,8 +137,7 @@ def scanned(bright_m, tip_m, axis):
     values = np.full(grid.shape, -1000, np.int16)
     i, j, k = np.rint(grid.indices(bright_m)).astype(int)
     values[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2] = 1000
-    left = np.cross(axis, [0.0, 1.0, 0.0])
-    left /= np.linalg.norm(left)
+    left = np.cross(axis, [0.0, 1.0, 0.0]) / np.hypot(axis[0], axis[2])
     return PlanScene(
         layers=plan().layers,
         entry_m=np.array([0.0, -0.04, 0.0]),

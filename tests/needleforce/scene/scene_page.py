@@ -41,17 +41,10 @@ class OpenPage:
             if message.get("id") == number:
                 return message.get("result", {})
 
-            self._note(message)
-
-    def _note(self, message):
-        method = message.get("method")
-        event = message.get("params", {})
-        if method == "Runtime.exceptionThrown":
-            self.errors.append(str(event["exceptionDetails"])[:300])
-        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
-            self.errors.append(event["entry"]["text"])
-        elif method == "Runtime.consoleAPICalled" and event["type"] == "error":
-            self.errors.append(str(event["args"])[:300])
+            event = message.get("params", {})
+            kind = event.get("type") or event.get("entry", {}).get("level")
+            if kind == "error" or message.get("method") == "Runtime.exceptionThrown":
+                self.errors.append(str(event)[:300])
 
     def evaluate(self, expression):
         """The value of an expression in the page."""
@@ -81,16 +74,15 @@ class OpenPage:
 
 
 @contextmanager
-def open_page(url, size=(1400, 900)):
+def browse(url, size=(1400, 900)):
     """A page in a browser of its own, which ends with the block."""
     from websockets.sync.client import connect
 
-    flags = [flag for flag in FLAGS if flag not in UNWANTED]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
             *(
                 PROGRAM,
-                *flags,
+                *(flag for flag in FLAGS if flag not in UNWANTED),
                 f"--window-size={size[0]},{size[1]}",
                 "--remote-debugging-port=0",
             ),

@@ -73,8 +73,7 @@ def test_without_a_state_on_the_plan_nobody_can_tell():
 )
 def test_the_large_number_is_the_distance_to_the_target(state, number, side, color):
     html = card(state)
-    start = html.index('data-part="target"')
-    part = html[start : html.index("<svg")]
+    part = html[html.index('data-part="target"') : html.index("<svg")]
 
     assert f">{number}</div>" in part
     assert side in part
@@ -112,8 +111,7 @@ def test_the_first_card_names_the_tissue_at_the_tip_with_its_probability(
     state, found, tissue
 ):
     assert tissue in words_of(card(state, plan=found))
-    no_path = PlanScene(layers=plan().layers)
-    assert words_of(card(state, no_path, plan=found)) == tissue
+    assert words_of(card(state, PlanScene(layers=plan().layers), plan=found)) == tissue
 
 
 @pytest.mark.parametrize(
@@ -130,13 +128,13 @@ def test_the_bullseye_shows_the_needle_where_it_passes_the_path(state, aside_m, 
         plan().path.entry_m + np.array(aside_m), np.array([0.02, 0.0, -1.0])
     )
     html = card(state, needle=needle)
-    circle = re.search(r'cx="(.*?)" cy="(.*?)" r="(.*?)"', html)
-    x, y, radius = map(float, circle.groups())
+    (circle,) = re.findall(r'cx="(.*?)" cy="(.*?)" r="(.*?)"', html)[:1]
+    x, y, radius = map(float, circle)
     sides = dict(re.findall(r'data-side="(\w+)"[^>]*>(\w)<', html))
 
     assert (x, y) == pytest.approx(place, abs=0.01)
-    assert radius == pytest.approx(1.0)  # two standard deviations
-    assert sides == {"left": "R", "right": "L", "up": "P"}
+    right = (pytest.approx(1.0), {"left": "R", "right": "L", "up": "P"})
+    assert (radius, sides) == right  # two standard deviations
     assert "1.1 ± 0.3° turned" in html
     line = re.search(r'<path d="M(.*?) (.*?)L', html[html.index("</text>") :])
     assert np.hypot(*map(float, line.groups())) == pytest.approx(1.2, abs=0.01)
@@ -155,6 +153,5 @@ def test_the_sides_of_a_view_are_those_of_the_patient(axis, right, up):
     view = NeedleView.along(np.array(axis))
     opposite = {"L": "R", "R": "L", "P": "A", "H": "F"}
 
-    assert patient_side(view.side) == right
-    assert patient_side(-view.side) == opposite[right]
-    assert patient_side(view.up) == up
+    sides = [patient_side(side) for side in (view.side, -view.side, view.up)]
+    assert sides == [right, opposite[right], up]
