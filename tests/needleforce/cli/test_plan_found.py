@@ -45,12 +45,10 @@ def report(log, capsys, *, aside_m=0.0, length_m=0.1):
     }
     file = log.parent / "plan.json"
     file.write_text(json.dumps(plan))
-    folder = log.parent / "page"
-    argv = ["report", str(log), str(folder), "--tare", "0:13", "--plan", str(file)]
+    page = log.parent / "page"
+    argv = ["report", str(log), str(page), "--tare", "0:13", "--plan", str(file)]
     assert main(argv) == 0
-    return *capsys.readouterr(), json.loads(
-        (folder / "needle_on_plan.json").read_bytes()
-    )
+    return *capsys.readouterr(), json.loads((page / "needle_on_plan.json").read_bytes())
 
 
 def test_a_rupture_is_named_by_the_plan(log, capsys):
