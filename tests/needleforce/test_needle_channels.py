@@ -34,6 +34,14 @@ IN_AIR_M = 0.012
 TURN_RAD = 0.3
 
 
+def above(layer, seed):
+    """A trip that begins in free air above a layer."""
+    trip = Trip((layer,), np.random.default_rng(seed))
+    trip.advance(-IN_AIR_M, 0.02)
+    trip.rows.clear()
+    return trip
+
+
 def tare_here(trip):
     """Rest and strokes in free air; the sample at which to tare."""
     trip.rest(0.5)
@@ -69,6 +77,12 @@ def rupture_samples(estimates):
     return [k for k, e in enumerate(estimates) if e.identification.rupture]
 
 
+def tip_forces(estimates, rows):
+    """Estimated and true force on the tip in each sample [N]."""
+    estimated_N = np.array([e.identification.tip_force_N for e in estimates])
+    return estimated_N, np.array([row.tip_N for row in rows])
+
+
 def advancing(trip, first, shallow_m, deep_m):
     """Samples from one on that advance between two depths."""
     depth_m = np.array([row.depth_m for row in trip.rows])
@@ -86,8 +100,7 @@ def true_ruptures(trip, thickness_m, first=0):
 @pytest.mark.parametrize("where", ["turned", "aside", "below"])
 def test_a_tare_elsewhere_needs_no_call(where):
     layer = gel(25)
-    trip = Trip((layer,), np.random.default_rng(1))
-    trip.advance(-IN_AIR_M, 0.02)
+    trip = above(layer, 1)
     aside_m = (0.04, 0.02) if where == "below" else (0.06, -0.06)
     if where == "turned":
         trip.turn_wrist(TURN_RAD, 1.0)
@@ -112,13 +125,10 @@ def test_a_tare_elsewhere_needs_no_call(where):
 
     for begins in ((), {begin}):
         session, estimates = run(trip, tare, begins)
-
+        inside_m = estimates[-1].depth_in_tissue_m
         assert rupture_samples(estimates) == pytest.approx(expected, abs=40)
         assert len(session.layers) == 1
-
-        deep = trip.rows[-1].depth_m
-
-        assert estimates[-1].depth_in_tissue_m == pytest.approx(deep, abs=2e-3)
+        assert inside_m == pytest.approx(trip.rows[-1].depth_m, abs=2e-3)
 
 
 class Twice(NamedTuple):
@@ -145,17 +155,22 @@ class Twice(NamedTuple):
         return start
 
 
-@pytest.fixture(scope="module")
-def twice():
-    """The second insertion is deeper, in the same channel."""
-    trip = Trip((gel(50),), np.random.default_rng(2))
-    trip.advance(-IN_AIR_M, 0.02)
-    trip.rows.clear()
+def insert_twice(seed, deep_m, fresh=None):
+    """Two insertions, of which the second goes through; the tissue may be fresh."""
+    trip = above(gel(50), seed)
     tare = tare_here(trip)
-    insert(trip, 0.022)
+    insert(trip, deep_m)
+    if fresh:
+        trip.fresh_tissue(fresh)
     second = len(trip.rows)
     trip.advance(IN_AIR_M + 0.042, SPEED_M_S)
     return Twice(trip, tare, second, *run(trip, tare))
+
+
+@pytest.fixture(scope="module")
+def twice():
+    """The second insertion is deeper, in the same channel."""
+    return insert_twice(2, 0.022)
 
 
 @pytest.mark.slow
@@ -165,92 +180,60 @@ def test_an_old_channel_has_friction_and_no_tip_force_until_its_end(twice, with_
     if with_call:
         session, estimates = run(trip, tare, {second})
     in_channel = advancing(trip, second, 1e-3, 0.020)
+    fresh = advancing(trip, second, 0.025, 0.037)
     shaft_N = np.array([e.identification.shaft_friction_N for e in estimates])
-    tip_N = np.array([e.identification.tip_force_N for e in estimates])
     true_friction_N = np.array([row.friction_N for row in trip.rows])
-    true_tip_N = np.array([row.tip_N for row in trip.rows])
+    tip_N, true_tip_N = tip_forces(estimates, trip.rows)
+    expected = true_ruptures(trip, 37.7e-3, second)
 
     assert np.abs(tip_N[in_channel]).max() < 0.02
     assert np.abs(shaft_N - true_friction_N)[in_channel].max() < 0.15
-
-    fresh = advancing(trip, second, 0.025, 0.037)
-
     assert true_tip_N[fresh].mean() > 0.5
     assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.2
-
-    expected = true_ruptures(trip, 37.7e-3, second)
-
     assert rupture_samples(estimates) == pytest.approx(expected, abs=40)
     assert len(session.layers) == 1
 
 
 @pytest.mark.slow
 def test_layers_stay_until_the_next_contact():
-    trip = Trip((gel(25),), np.random.default_rng(4))
-    trip.advance(-IN_AIR_M, 0.02)
-    trip.rows.clear()
+    trip = above(gel(25), 4)
     tare = tare_here(trip)
     insert(trip, 0.034)
+    session, _ = run(trip, tare)
     out = len(trip.rows)
+    (layer,) = session.layers
     trip.move_aside((0.02, 0.0), 0.5)
     trip.fresh_tissue((gel(25),))
-    above = len(trip.rows)
-    trip.advance(IN_AIR_M + 0.01, SPEED_M_S)
-    later = trip.rows[out:]
-    trip.rows = trip.rows[:out]
-    session, _ = run(trip, tare)
-    layers = session.layers
-
-    assert len(layers) == 1
-
-    for row in later[: above - out]:
-        session.update(row.q, row.dq, row.tau, DT_S)
-
+    run(trip, None, session=session, first=out)
+    beside = len(trip.rows)
     (kept,) = session.layers
+    trip.advance(IN_AIR_M + 0.01, SPEED_M_S)
+    run(trip, None, session=session, first=beside)
 
-    assert kept.thickness_m == pytest.approx(layers[0].thickness_m, abs=1e-4)
-
-    for row in later[above - out :]:
-        session.update(row.q, row.dq, row.tau, DT_S)
-
+    assert kept.thickness_m == pytest.approx(layer.thickness_m, abs=1e-4)
     assert session.layers == ()
 
 
 @pytest.fixture(scope="module")
 def moved():
     """Between the two insertions the tissue has moved aside."""
-    trip = Trip((gel(50),), np.random.default_rng(5))
-    trip.advance(-IN_AIR_M, 0.02)
-    trip.rows.clear()
-    tare = tare_here(trip)
-    insert(trip, 0.030)
-    trip.fresh_tissue((gel(50),))
-    second = len(trip.rows)
-    trip.advance(IN_AIR_M + 0.042, SPEED_M_S)
-    return Twice(trip, tare, second, *run(trip, tare))
+    return insert_twice(5, 0.030, fresh=(gel(50),))
 
 
 def test_tissue_that_has_moved_contradicts_the_channel(moved):
     trip, _, second, session, estimates = moved
     states = [estimate.channel for estimate in estimates[second:]]
 
-    assert [state for state in ChannelState if state in states] == list(ChannelState)
-    assert states[-1] is ChannelState.CONTRADICTED
-
     dropped = second + states.index(ChannelState.CONTRADICTED)
-    rise_N = trip.rows[dropped].tip_N
-
-    assert rise_N < 0.35
-
     fresh = advancing(trip, dropped, trip.rows[dropped].depth_m + 2e-3, 0.037)
-    tip_N = np.array([e.identification.tip_force_N for e in estimates])
-    true_tip_N = np.array([row.tip_N for row in trip.rows])
-
-    assert true_tip_N[fresh].mean() > 0.4
-    assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.2
-
+    tip_N, true_tip_N = tip_forces(estimates, trip.rows)
     expected = true_ruptures(trip, 37.7e-3, second)
 
+    assert set(states) == set(ChannelState)
+    assert states[-1] is ChannelState.CONTRADICTED
+    assert true_tip_N[dropped] < 0.35
+    assert true_tip_N[fresh].mean() > 0.4
+    assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.2
     assert rupture_samples(estimates) == pytest.approx(expected, abs=40)
     assert len(session.layers) == 1
 
@@ -262,12 +245,9 @@ def test_channels_that_are_forgotten_are_fresh_tissue(moved):
     session.forget_channels()
     _, estimates = run(trip, None, session=session, first=second)
     fresh = advancing(trip, second, 5e-3, 0.037) - second
+    tip_N, true_tip_N = tip_forces(estimates, trip.rows[second:])
 
     assert {estimate.channel for estimate in estimates} == {ChannelState.FRESH}
-
-    tip_N = np.array([e.identification.tip_force_N for e in estimates])
-    true_tip_N = np.array([row.tip_N for row in trip.rows[second:]])
-
     assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.25
 
 
@@ -278,14 +258,16 @@ def test_begin_insertion_in_tissue_moves_only_the_zero_of_depth(twice):
     _, begun = run(twice.until(second), tare, {in_tissue})
     moved_m = begun[-1].depth_m - estimates[second - 1].depth_m
 
-    assert moved_m == pytest.approx(-trip.rows[in_tissue].depth_m - IN_AIR_M, abs=1e-3)
-    for one, other in zip(begun[in_tissue:], estimates[in_tissue:second], strict=True):
-        tip_N = other.identification.tip_force_N
-        inside_m = other.depth_in_tissue_m
+    found, expected = (
+        [
+            (e.identification.tip_force_N, e.depth_in_tissue_m, e.identification.layer)
+            for e in each[in_tissue:second]
+        ]
+        for each in (begun, estimates)
+    )
 
-        assert one.identification.tip_force_N == pytest.approx(tip_N, abs=1e-6)
-        assert one.identification.layer == other.identification.layer
-        assert one.depth_in_tissue_m == pytest.approx(inside_m, abs=1e-6)
+    assert moved_m == pytest.approx(-trip.rows[in_tissue].depth_m - IN_AIR_M, abs=1e-3)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 @pytest.mark.slow

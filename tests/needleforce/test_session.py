@@ -1,6 +1,9 @@
 """The whole chain in one object: what it estimates, and what it uses for
 identification."""
 
+from copy import copy
+from itertools import islice
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -18,7 +21,6 @@ from tests.insertion_run import (
     samples,
     short_run,
     tare_index,
-    time_steps,
 )
 
 RUN = short_run()
@@ -29,6 +31,14 @@ INSIDE = int(np.argmax(RUN.truth.depth_m > 15e-3)) - 1
 
 def ruptures(found):
     return [k for k, e in enumerate(found) if e.identification.rupture is not None]
+
+
+def warned(found, warning):
+    return [k for k, e in enumerate(found) if warning in e.warnings]
+
+
+def updated(session, rows):
+    return [session.update(*row) for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +55,14 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     error = (axial - RUN.truth.axial_N[: len(estimates)])[touched:]
 
     assert np.sqrt(np.mean(error**2)) < 0.05
-    assert len(ruptures(estimates)) == len(session.layers) == 1
-    assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
-    assert estimates[-1].status is Status.OK
+    assert len(ruptures(estimates)) == 1
+    assert [layer.thickness_m for layer in session.layers] == [
+        pytest.approx(28.2e-3, abs=1e-3)
+    ]
     assert estimates[-1].used_for_identification
-    assert session.rejected == 0
-    assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
+    assert (session.rejected, session.lag_s) == (
+        *(0, pytest.approx(1.0 / DEFAULT.gain_per_s)),
+    )
 
 
 @pytest.mark.slow
@@ -68,47 +80,41 @@ def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
     offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
     compared = slice(TARE, end + 1)
     depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in estimates[compared]]).T
+    true_m = RUN.truth.depth_m[compared] - RUN.truth.depth_m[TARE]
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
-    tolerance_m = 2e-5 if with_velocity else 8e-5
+    tolerance_m, tolerance_m_s = (2e-5, 2e-6) if with_velocity else (8e-5, 1e-4)
 
     np.testing.assert_allclose(depth, offline_m[compared], atol=tolerance_m)
-    np.testing.assert_allclose(
-        speed, offline_m_s[compared], atol=2e-6 if with_velocity else 1e-4
-    )
-
-    truth = RUN.truth.depth_m[compared] - RUN.truth.depth_m[TARE]
-
-    np.testing.assert_allclose(depth, truth, atol=1e-4)
+    np.testing.assert_allclose(speed, offline_m_s[compared], atol=tolerance_m_s)
+    np.testing.assert_allclose(depth, true_m, atol=1e-4)
 
 
 @pytest.mark.slow
 def test_only_valid_tared_forces_are_used():
     session = InsertionSession(RUN.robot)
-    lost = range(TARE + 100, TARE + 500)
-    estimate = None
-    for k, (q, dq, tau, dt_s) in samples(RUN):
-        if k == TARE:
-            assert not session.tared
-            session.tare()
-            tared_s = estimate.time_s
-        estimate = session.update(q, dq, tau * np.nan if k in lost else tau, dt_s)
-        if k < TARE:
-            assert estimate.status in (Status.INITIALIZING, Status.NOT_TARED)
-            assert not estimate.used_for_identification
-            assert estimate.identification.time_s == 0.0
-        if k == TARE + 499:
-            assert estimate.status is Status.REJECTED
-            assert not estimate.used_for_identification
-            assert estimate.identification.time_s - tared_s == pytest.approx(0.1)
-        if k == TARE + 500:
-            assert estimate.status is Status.INITIALIZING
-        if estimate.used_for_identification and k > TARE + 500:
-            break
+    rows = [row for _, row in samples(RUN)]
+    before = updated(session, rows[:TARE])
+    session.tare()
+    updated(session, rows[TARE : TARE + 100])
+    lost = [(q, dq, tau * np.nan, dt_s) for q, dq, tau, dt_s in rows[TARE + 100 :]]
+    rejected = updated(session, lost[:400])[-1]
+    after = updated(session, rows[TARE + 500 : TARE + 1500])
+    back = next(k for k, e in enumerate(after) if e.used_for_identification)
+    used = after[back]
+    unused_s = rejected.identification.time_s - before[-1].time_s
 
+    assert {
+        (e.status, e.used_for_identification, e.identification.time_s) for e in before
+    } == {(s, False, 0.0) for s in (Status.INITIALIZING, Status.NOT_TARED)}
+    assert (rejected.status, rejected.used_for_identification, unused_s) == (
+        *(Status.REJECTED, False, pytest.approx(0.1)),
+    )
+    assert after[0].status is Status.INITIALIZING
     # The time of what was not used has passed, and the identifier reports the gap.
-    assert estimate.identification.status is SampleStatus.TIME_GAP
-    assert estimate.identification.time_s == estimate.time_s
-    assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
+    assert (used.identification.status, used.identification.time_s, used.time_s) == (
+        *(SampleStatus.TIME_GAP, used.time_s),
+        pytest.approx((TARE + 500 + back) * 1e-3, abs=2e-3),
+    )
 
 
 @pytest.mark.slow
@@ -121,49 +127,45 @@ def test_refused_tares_and_new_insertions_keep_the_tare():
     assert session.snapshot().course.travel.depth_m == deep.depth_m > 5e-3
 
     session.begin_insertion()
-
-    assert session.tared
-    assert session.layers == ()
-
     again = session.update(*second)
+    found = again.identification
 
-    assert again.depth_m == pytest.approx(0.0, abs=1e-4)
-    assert again.identification.layer == 1  # the tip is in its own channel
-
-    tip_N = again.identification.tip_force_N
-
-    assert tip_N == pytest.approx(deep.identification.tip_force_N, abs=0.05)
+    assert (session.tared, session.layers) == (True, ())
+    assert (again.depth_m, found.layer, found.tip_force_N) == (
+        pytest.approx(0.0, abs=1e-4),
+        1,  # the tip is in its own channel
+        pytest.approx(deep.identification.tip_force_N, abs=0.05),
+    )
 
     session.start_tare_recording()
 
     assert not session.tared
 
     session.reset()
-
-    assert not session.tared
     with pytest.raises(TareError):
         session.tare()
 
 
 @pytest.mark.slow
-def test_external_torque_gives_force_and_speed():
-    sent = RUN.signals
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_external_torque_gives_force_and_speed(with_velocity):
     truth = RUN.truth
     end = TARE + 5000
     noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
     torque = truth.external_torque_Nm + 0.3 + noise
-    for with_velocity in (True, False):
-        session = InsertionSession(RUN.robot)
-        for k, dt_s in enumerate(time_steps(RUN)[: end + 1]):
-            if k == TARE:
-                session.tare()
-            dq = sent.dq_rad_s[k] if with_velocity else None
-            estimate = session.update_external_torque(
-                sent.q_rad[k], dq, torque[k], dt_s
-            )
-            assert estimate.status is not Status.REJECTED
-        assert estimate.wrench.axial == pytest.approx(truth.axial_N[end], abs=0.1)
-        assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[end], abs=3e-4)
+    session = InsertionSession(RUN.robot)
+    for k, (q, dq, _, dt_s) in islice(
+        samples(RUN, with_velocity=with_velocity), end + 1
+    ):
+        if k == TARE:
+            session.tare()
+        estimate = session.update_external_torque(q, dq, torque[k], dt_s)
+
+    assert session.rejected == 0
+    assert (estimate.wrench.axial, estimate.speed_m_s) == (
+        pytest.approx(truth.axial_N[end], abs=0.1),
+        pytest.approx(truth.speed_m_s[end], abs=3e-4),
+    )
 
 
 @pytest.mark.slow
@@ -193,22 +195,15 @@ def test_a_lag_that_cannot_be_is_refused(speed_lag_s):
 @pytest.mark.parametrize("dt_s", [-10.0, 1.8e9, np.nan, None])
 def test_a_clock_that_was_set_takes_no_time(dt_s):
     session, rows = resumed_after(TARE, 52)
-    for row in rows[:50]:
-        earlier = session.update(*row)
-
-    assert earlier.used_for_identification
-
+    earlier = updated(session, rows[:50])[-1]
     set_back = session.update(*rows[50][:3], dt_s)
-
-    assert set_back.status is Status.REJECTED
-    assert not set_back.used_for_identification
-
     after = session.update(*rows[51])
-
-    assert after.used_for_identification
-
     passed_s = after.identification.time_s - earlier.identification.time_s
 
+    assert set_back.status is Status.REJECTED
+    assert [e.used_for_identification for e in (earlier, set_back, after)] == [
+        *(True, False, True),
+    ]
     assert passed_s == pytest.approx(rows[51][3])
 
 
@@ -224,11 +219,13 @@ def test_a_force_rejected_by_identifier_is_unused():
         push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
         estimates.append(session.update(q, dq, tau + push, dt_s))
 
+    last = estimates[-1]
+
     assert all(e.used_for_identification for e in estimates[:100])
-    assert estimates[-1].status is Status.OK
-    assert estimates[-1].wrench.axial > 1.0
-    assert estimates[-1].identification.status is SampleStatus.FORCE_RANGE
-    assert not estimates[-1].used_for_identification
+    assert last.wrench.axial > 1.0
+    assert (last.status, last.identification.status, last.used_for_identification) == (
+        *(Status.OK, SampleStatus.FORCE_RANGE, False),
+    )
 
 
 # A push aside is no rupture; one on the elbow looks like one before its mismatch has
@@ -257,27 +254,18 @@ def pushed(rows, force_in_base_N, first, count, joint=None):
 def test_a_lateral_push_is_no_axial_force(first):
     session, rows = resumed_after(INSIDE, 400)
     still, _ = resumed_after(INSIDE, 400)
-    estimates = [
-        session.update(*row) for row in pushed(rows, (1.0, 0.0, 0.0), first, 400)
-    ]
-    alone = [still.update(*row) for row in rows]
+    estimates = updated(session, pushed(rows, (1.0, 0.0, 0.0), first, 400))
+    axial_N, alone_N = (
+        np.array([estimate.wrench.axial for estimate in found])
+        for found in (estimates, updated(still, rows))
+    )
+    wrench = estimates[-1].wrench
+    sideways = np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
 
     assert ruptures(estimates) == []
     assert all(e.used_for_identification for e in estimates)
-
-    error = [
-        pushed_estimate.wrench.axial - other.wrench.axial
-        for pushed_estimate, other in zip(estimates, alone, strict=True)
-    ]
-
-    assert np.abs(error).max() < 0.05
-
-    wrench = estimates[-1].wrench
-    sideways = np.linalg.norm(
-        np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
-    )
-
-    assert wrench.lateral == pytest.approx(sideways, abs=0.1)
+    assert np.abs(axial_N - alone_N).max() < 0.05
+    assert wrench.lateral == pytest.approx(np.linalg.norm(sideways), abs=0.1)
     assert wrench.lateral_std < 0.05
 
 
@@ -285,19 +273,15 @@ def test_a_lateral_push_is_no_axial_force(first):
 def test_a_push_on_the_elbow_raises_no_rupture(first):
     session, rows = resumed_after(INSIDE, 400)
     rows = pushed(rows, (0.0, 2.0, 0.0), first, 400, joint=4)
-    estimates = [session.update(*row) for row in rows]
+    estimates = updated(session, rows)
+    flagged = warned(estimates, SensorWarning.MODEL_MISMATCH)
 
     assert ruptures(estimates) == []
     assert not any(e.identification.provisional for e in estimates)
-
-    flagged = [
-        k for k, e in enumerate(estimates) if SensorWarning.MODEL_MISMATCH in e.warnings
-    ]
-
     assert first < flagged[0] < first + 100
     assert "do not fit" in estimates[flagged[0]].wrench.message
     assert not any(estimates[k].used_for_identification for k in flagged)
-    assert all(e.status is Status.OK for e in estimates)
+    assert {e.status for e in estimates} == {Status.OK}
 
 
 @pytest.mark.parametrize("kind", ["rupture", "provisional"])
@@ -311,11 +295,10 @@ def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
         "recheck",
         lambda wrench: wrench._replace(warnings=SensorWarning.ARM_PUSHED),
     )
-
     estimate = session.update(*rows[1])
+    alarm = getattr(estimate.identification, kind)
 
-    assert getattr(estimate.identification, kind) is None
-    assert not estimate.used_for_identification
+    assert (alarm, estimate.used_for_identification) == (None, False)
 
 
 @pytest.mark.slow
@@ -324,25 +307,17 @@ def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
 )
 def test_a_small_push_shows_in_torque_changes(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
-    estimates = [
-        session.update(*row)
-        for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)
-    ]
-    flagged = [
-        k for k, e in enumerate(estimates) if SensorWarning.ARM_PUSHED in e.warnings
-    ]
+    estimates = updated(session, pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4))
+    flagged = warned(estimates, SensorWarning.ARM_PUSHED)
+    # A push that lasts is a torque that has jumped.
+    lasts = warned(estimates, SensorWarning.TORQUE_JUMP)
 
     assert 500 < flagged[0] < 620
     assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
-    assert not any(SensorWarning.MODEL_MISMATCH in e.warnings for e in estimates)
+    assert warned(estimates, SensorWarning.MODEL_MISMATCH) == ruptures(estimates) == []
     assert estimates[-1].used_for_identification
-    assert ruptures(estimates) == []
-
-    # A push that lasts is a torque that has jumped.
-    lasts = [SensorWarning.TORQUE_JUMP in e.warnings for e in estimates]
-
-    assert sum(lasts) > 600
-    assert lasts[-1] == (count == 4_500)
+    assert len(lasts) > 600
+    assert (lasts[-1] == len(rows) - 1) == (count == 4_500)
 
 
 @pytest.mark.slow
@@ -353,24 +328,23 @@ def test_a_push_rewinds_to_before_it_began():
     for row in rows:
         still.update(*row)
         history.append(still.snapshot().identifier.travel)
-    rows = pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4)
-    is_detected = (
-        SensorWarning.MODEL_MISMATCH in session.update(*row).warnings for row in rows
+    k = next(
+        k
+        for k, row in enumerate(pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4))
+        if SensorWarning.MODEL_MISMATCH in session.update(*row).warnings
     )
-    k = next(k for k, is_known in enumerate(is_detected) if is_known)
-    rewound = session.snapshot().identifier.travel
-    equal_to = [n for n, travel in enumerate(history) if same(travel, rewound)]
+    rewound = session.snapshot()
+    equal_to = [
+        n for n, one in enumerate(history) if same(one, rewound.identifier.travel)
+    ]
 
     assert k - 520 < equal_to[-1] <= k - 250  # as if nothing had come since
-    assert session.snapshot().unused_s == pytest.approx(
-        1e-3 * (k - equal_to[-1]), abs=2e-3
-    )
+    assert rewound.unused_s == pytest.approx(1e-3 * (k - equal_to[-1]), abs=2e-3)
 
 
 def test_a_push_beginning_in_unused_ticks_rewinds_once():
     session, rows = resumed_after(INSIDE, 900)
-    for row in rows[:700]:
-        session.update(*row)
+    updated(session, rows[:700])
     used = session.snapshot()
     wrench = session.update(*rows[700]).wrench._replace(status=Status.OK)
     for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
@@ -390,18 +364,26 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
     [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 1_850), (-400, 1_200, 1_200)],
 )
 def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
-    session, rows = resumed_after(INSIDE, 9_000)
-    (undisturbed_alarm,) = ruptures([session.update(*row) for row in rows])
-    (layer,) = session.layers
-    session, rows = resumed_after(INSIDE, 9_000)
-    rows = pushed(rows, (0.0, 2.0, 0.0), undisturbed_alarm + first, count, joint=4)
-    estimates = [session.update(*row) for row in rows]
+    undisturbed, rows = resumed_after(INSIDE, 9_000)
+    session, _ = resumed_after(INSIDE, 9_000)
+    (undisturbed_alarm,) = ruptures(updated(undisturbed, rows))
+    start = undisturbed_alarm + first
+    estimates = updated(session, pushed(rows, (0.0, 2.0, 0.0), start, count, joint=4))
     (alarm,) = ruptures(estimates)
+    frictions_N = [one.layers[0].friction_N for one in (session, undisturbed)]
 
     # Blocks of the identifier begin elsewhere after the pause.
     assert -10 < alarm - undisturbed_alarm < late
-    assert all(e.identification.retracted is None for e in estimates)
-    assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15
+    assert {e.identification.retracted for e in estimates} == {None}
+    assert abs(frictions_N[0] / frictions_N[1] - 1.0) < 0.15
+
+
+def jumped(rows, joint, step_Nm, end):
+    """The rows, of which the 501st to the end have another torque at a joint."""
+    return [
+        (q, dq, tau + step_Nm * np.eye(7)[joint] * (500 <= k < end), dt_s)
+        for k, (q, dq, tau, dt_s) in enumerate(rows)
+    ]
 
 
 @pytest.mark.slow
@@ -412,36 +394,25 @@ def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
 )
 def test_a_torque_that_jumps_makes_no_rupture_and_hides_none(joint, step_Nm, end):
     session, rows = resumed_after(INSIDE, 9_000)
-    jumped = [
-        (q, dq, tau + step_Nm * np.eye(7)[joint] * (500 <= k < end), dt_s)
-        for k, (q, dq, tau, dt_s) in enumerate(rows)
-    ]
-    estimates = [session.update(*row) for row in jumped]
-    flagged = [
-        k for k, e in enumerate(estimates) if SensorWarning.TORQUE_JUMP in e.warnings
-    ]
+    estimates = updated(session, jumped(rows, joint, step_Nm, end))
     (alarm,) = ruptures(estimates)
     onset = int(np.searchsorted(RUN.signals.t_s, RUN.truth.ruptures[0].onset_s))
 
-    assert 500 < flagged[0] <= 1_000
+    assert 500 < warned(estimates, SensorWarning.TORQUE_JUMP)[0] <= 1_000
     assert onset < alarm + INSIDE + 1 < onset + 300
-    assert all(e.identification.retracted is None for e in estimates)
+    assert {e.identification.retracted for e in estimates} == {None}
     assert sum(not e.used_for_identification for e in estimates) < 2_700
 
 
 @pytest.mark.slow
 def test_a_session_restored_during_a_jump_knows_of_it():
     session, rows = resumed_after(INSIDE, 9_000)
-    jumped = [
-        (q, dq, tau - 0.3 * np.eye(7)[3] * (500 <= k < 3_500), dt_s)
-        for k, (q, dq, tau, dt_s) in enumerate(rows)
-    ]
-    for row in jumped[:3_400]:
-        session.update(*row)
+    rows = jumped(rows, 3, -0.3, 3_500)
+    updated(session, rows[:3_400])
     snapshot = session.snapshot()
     restored, _ = resumed_after(INSIDE, 1)
     restored.restore(snapshot)
-    (alarm,) = ruptures([restored.update(*row) for row in jumped[3_400:]])
+    (alarm,) = ruptures(updated(restored, rows[3_400:]))
 
     assert snapshot.air.jump_std_N > 0.05
     assert 1_500 < alarm < 3_500
@@ -451,22 +422,19 @@ def test_a_session_restored_during_a_jump_knows_of_it():
 def test_a_jump_takes_back_a_rupture_of_the_0_6_s_before_it_was_noticed():
     """It may have been that jump: a torque sensor's is noticed within half a second."""
     session, rows = resumed_after(INSIDE, 9_000)
-    rows = list(rows)
-    alarm = next(
-        k for k, row in enumerate(rows) if session.update(*row).identification.rupture
-    )
+    samples_left = iter(rows)
+    for row in samples_left:
+        if session.update(*row).identification.rupture:
+            break
     retracted = []
-    for row in rows[alarm + 1 : alarm + 450]:
-        session.update(*row)
-    for later in (0, 200):  # 0.45 and 0.65 s after the alarm
-        for row in rows[alarm + 450 : alarm + 450 + later]:
-            session.update(*row)
-        jumped, _ = resumed_after(INSIDE, 1)
+    for later in (449, 200):  # 0.45 and 0.65 s after the alarm
+        updated(session, islice(samples_left, later))
+        after = list(islice(copy(samples_left), 100))
         snapshot = session.snapshot()
         air = snapshot.air._replace(jumps=snapshot.air.jumps + 1, jump_std_N=0.3)
-        jumped.restore(snapshot._replace(air=air))
-        after = rows[alarm + 450 + later : alarm + 550 + later]
-        found = [jumped.update(*row).identification.retracted for row in after]
-        retracted.append(any(found))
+        other, _ = resumed_after(INSIDE, 1)
+        other.restore(snapshot._replace(air=air))
+        found = updated(other, after)
+        retracted.append(any(e.identification.retracted for e in found))
 
     assert retracted == [True, False]

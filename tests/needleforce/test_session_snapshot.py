@@ -2,6 +2,8 @@
 
 import copy
 from dataclasses import replace
+from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -76,74 +78,83 @@ def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
             assert same(other.update(*feed[k][1]), estimates[k]), (cut, k)
 
 
+def copied(snapshot, folder):
+    """What comes back from a file."""
+    write_snapshot(snapshot, folder / "copy")
+    return read_snapshot(folder / "copy")
+
+
 @pytest.mark.slow
 def test_a_sensor_alone_is_stored_too(tmp_path):
     whole, (row,) = resumed_after(IN_TISSUE, 1)
     stored, other = (VirtualForceSensor(short_run().robot) for _ in range(2))
     stored.restore(whole.snapshot().sensor)
-    write_snapshot(stored.snapshot(), tmp_path / "s")
-    other.restore(read_snapshot(tmp_path / "s"))
+    other.restore(copied(stored.snapshot(), tmp_path))
 
     assert same(other.update(*row), stored.update(*row))
 
 
 def test_external_torque_resumes_too(tmp_path):
     run = short_run()
-    session = InsertionSession(run.robot)
-    other = InsertionSession(run.robot)
+    session, other = (InsertionSession(run.robot) for _ in range(2))
     torques = np.random.default_rng(0).normal(size=(1500, 7))
-    for k, (q, torque) in enumerate(
-        zip(run.signals.q_rad[:1500], torques, strict=True)
-    ):
-        estimate = session.update_external_torque(q, None, torque, 1e-3)
-        if k == 900:
-            write_snapshot(session.snapshot(), tmp_path / "s")
-            other.restore(read_snapshot(tmp_path / "s"))
-        if k > 900:
-            assert same(other.update_external_torque(q, None, torque, 1e-3), estimate)
+    q_rad = run.signals.q_rad[:1500]
+    rows = [(q, None, tau, 1e-3) for q, tau in zip(q_rad, torques, strict=True)]
+    for row in rows[:901]:
+        session.update_external_torque(*row)
+    other.restore(copied(session.snapshot(), tmp_path))
+    for row in rows[901:]:
+        estimate = session.update_external_torque(*row)
+        assert same(other.update_external_torque(*row), estimate)
 
 
-def test_another_robot_or_other_settings_are_refused(lwr):
-    snapshot = stopped_after(IN_TISSUE)
-    more = Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
-    heavier = lwr.with_payload(lwr.payload + more)
-    robot = short_run().robot
-    for foreign, error, match in [
-        (InsertionSession(heavier), SnapshotError, "another robot"),
+ROBOT = short_run().robot
+HEAVIER = ROBOT.with_payload(
+    ROBOT.payload
+    + Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
+)
+
+
+@pytest.mark.parametrize(
+    ("foreign", "error", "match"),
+    [
+        (partial(InsertionSession, HEAVIER), SnapshotError, "another robot"),
         (
-            InsertionSession(robot, replace(DEFAULT, gain_per_s=50.0)),
-            SnapshotError,
-            "settings",
+            partial(InsertionSession, ROBOT, replace(DEFAULT, gain_per_s=50.0)),
+            *(SnapshotError, "settings"),
         ),
         (
-            InsertionSession(robot, identifier_config=PUBLISHED),
-            ValueError,
-            "Snapshot taken",
+            partial(InsertionSession, ROBOT, identifier_config=PUBLISHED),
+            *(ValueError, "Snapshot taken"),
         ),
-        (InsertionSession(robot, speed_lag_s=0.02), InsertionError, "speed_lag_s"),
-    ]:
-        state = foreign.snapshot()
-        with pytest.raises(error, match=match):
-            foreign.restore(snapshot)
-        assert same(foreign.snapshot(), state)
+        (
+            partial(InsertionSession, ROBOT, speed_lag_s=0.02),
+            *(InsertionError, "speed_lag_s"),
+        ),
+        (partial(VirtualForceSensor, ROBOT), SnapshotError, "SensorState"),
+    ],
+)
+def test_another_robot_or_other_settings_are_refused(foreign, error, match):
+    other = foreign()
+    state = other.snapshot()
+    with pytest.raises(error, match=match):
+        other.restore(stopped_after(IN_TISSUE))
+    assert same(other.snapshot(), state)
 
+
+def test_the_state_of_a_sensor_is_none_of_a_session():
     with pytest.raises(InsertionError, match="SensorState"):
-        InsertionSession(robot).restore(snapshot.sensor)
-    with pytest.raises(SnapshotError, match="expected a SensorState"):
-        VirtualForceSensor(lwr).restore(snapshot)
+        InsertionSession(ROBOT).restore(stopped_after(IN_TISSUE).sensor)
 
 
 def test_a_shallow_copy_shares_nothing():
     session, rows = resumed_after(IN_TISSUE, 300)
     twin = copy.copy(session)
     state = session.snapshot()
-    estimates = [twin.update(*row) for row in rows]
+    estimates = tuple(twin.update(*row) for row in rows)
 
     assert same(session.snapshot(), state)
-    assert all(
-        same(session.update(*row), estimate)
-        for row, estimate in zip(rows, estimates, strict=True)
-    )
+    assert same(tuple(session.update(*row) for row in rows), estimates)
 
 
 def test_files_that_are_no_snapshots_are_refused(tmp_path):
@@ -175,13 +186,9 @@ def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
     path = tmp_path / "s"
     write_snapshot(stopped_after(IN_TISSUE), path)
     older = path.read_bytes()
-
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full)
+    full = OSError(28, "No space left on device")
+    monkeypatch.setattr("os.fsync", Mock(side_effect=full))
 
     with pytest.raises(OSError, match="No space"):
         write_snapshot(stopped_after(IN_TISSUE), path)
-    assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    assert path.read_bytes() == older
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("s", older)]

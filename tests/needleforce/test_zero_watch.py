@@ -1,5 +1,7 @@
 """A force in free air, where nothing acts on the needle, is an error that is said."""
 
+from itertools import islice
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -42,50 +44,45 @@ def test_a_force_that_pulls_is_none_and_ends_when_it_is_gone():
     assert doubts_N[-1] == 0.0
 
 
-@pytest.mark.slow
-def test_a_payload_gripped_anew_after_the_tare_is_said_before_the_entry():
+def insertion(weight_kg=0.0, config=MIXTURE):
+    """Estimates of 5 s in tissue, whose payload is gripped anew after the tare, the
+    first sample in tissue, and the doubt of the force."""
     run = short_run()
     robot = run.robot
     data = robot.model.createData()
     tare = tare_index(run)
     touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
-    session = InsertionSession(robot)
+    session = InsertionSession(robot, identifier_config=config)
     estimates = []
-    jacobian = np.zeros((3, 7))
-    for k, (q, dq, tau, dt_s) in samples(run):
+    for k, (q, dq, tau, dt_s) in islice(samples(run), touched + 5_001):
         if k == tare:
             session.tare()
         if k % 20 == 0:
             jacobian = pin.computeFrameJacobian(
                 robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
-            )[:3]
+            )
         onset = min(max((k - tare - 200) / 300.0, 0.0), 1.0)
-        weight_N = 0.03 * 9.81 * onset
-        heavier = tau + jacobian.T @ np.array([0.0, 0.0, weight_N])
+        heavier = tau + jacobian[2] * weight_kg * 9.81 * onset
         estimates.append(session.update(q, dq, heavier, dt_s))
-        if k == touched + 5_000:
-            break
+    return estimates, touched, session.snapshot().air.doubt_N
 
-    in_tissue = estimates[touched:]
-    axial_N = run.truth.axial_N[touched : touched + len(in_tissue)]
-    error_N = np.array([e.wrench.axial for e in in_tissue]) - axial_N
-    std_N = np.array([e.wrench.axial_std for e in in_tissue])
+
+@pytest.mark.slow
+def test_a_payload_gripped_anew_after_the_tare_is_said_before_the_entry():
+    estimates, touched, doubt_N = insertion(weight_kg=0.03)
+    axial_N, std_N = np.array(
+        [(e.wrench.axial, e.wrench.axial_std) for e in estimates[touched:]]
+    ).T
+    error_N = axial_N - short_run().truth.axial_N[touched : len(estimates)]
+
     assert SensorWarning.UNEXPLAINED in estimates[touched - 50].warnings
     assert np.mean(np.abs(error_N) < 2.0 * std_N) > 0.95
-    assert session.snapshot().air.doubt_N > 0.05
+    assert doubt_N > 0.05
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 def test_nothing_is_unexplained_in_an_undisturbed_insertion(config):
-    run = short_run()
-    tare = tare_index(run)
-    touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
-    session = InsertionSession(run.robot, identifier_config=config)
-    for k, (q, dq, tau, dt_s) in samples(run):
-        if k == tare:
-            session.tare()
-        estimate = session.update(q, dq, tau, dt_s)
-        assert SensorWarning.UNEXPLAINED not in estimate.wrench.warnings
-        if k == touched + 5_000:
-            break
+    estimates, *_ = insertion(config=config)
+
+    assert not any(SensorWarning.UNEXPLAINED in e.wrench.warnings for e in estimates)

@@ -7,6 +7,7 @@ import numpy as np
 
 from needleforce.cli import main
 from needleforce.recordings import write_table
+from needleforce.recordings.table import TableLabels
 from tests.residual.residual_signals import external_torque_of, pose_of, swing
 
 CONTACT_S = 2.8
@@ -38,6 +39,16 @@ def write_insertion(path, robot, *, only=None, **changes):
     columns = insertion(robot, **changes)
     write_table(path, {name: columns[name] for name in only or columns})
     return path
+
+
+def write_turned(path, columns, joint_names):
+    """Write a bag whose joints stand in the opposite order, with their names."""
+    turned = {
+        name: values[:, ::-1] if values.ndim == 2 else values
+        for name, values in columns.items()
+        if name != "tau_ext_Nm"
+    }
+    write_table(path, turned, labels=TableLabels(joint_names=joint_names[::-1]))
 
 
 def refusal(argv, capsys):

@@ -1,6 +1,7 @@
 """`needleforce force` and `check`: the forces are those that were put into the log."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -61,16 +62,13 @@ def run(tmp_path, capsys):
 def test_axial_force_matches_truth_within_its_std(log, run, options):
     columns, *_ = run(log, *TARE, *options)
     contact = columns["t_s"] > CONTACT_S + 0.3
+    free = (columns["t_s"] > 2.6) & (columns["t_s"] < CONTACT_S)
     error = columns["axial_N"][contact] - AXIAL_N
     std = columns["axial_std_N"][contact]
 
     assert np.abs(error).max() < 0.15
     assert abs(error.mean()) < 0.05
-    assert (std > 0.0).all()
     assert np.mean(np.abs(error) < 3.0 * std) > 0.95
-
-    free = (columns["t_s"] > 2.6) & (columns["t_s"] < CONTACT_S)
-
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
@@ -80,26 +78,19 @@ def test_axial_force_matches_truth_within_its_std(log, run, options):
 def test_columns_name_units_and_travel_is_true(log, run, lwr, mode, components):
     columns, *_ = run(log, *TARE, "--mode", mode)
     plain = {"model_mismatch", "force_warnings", "force_status"}
+    force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
+    start, end = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
+    travel = start.rotation[:, 2] @ (end.translation - start.translation)
+    status = columns["force_status"]
+    is_tared = columns["t_s"] > 2.5
 
     assert len(columns) == 9 + components
     assert {name.rsplit("_", 1)[1] for name in columns.keys() - plain} <= {
         *("s", "m", "N", "Nm")
     }
-    force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
-    start, end = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
-    needle = end.rotation[:, 2]
-
-    assert force[-1] @ needle == pytest.approx(-AXIAL_N, abs=0.2)
+    assert force[-1] @ end.rotation[:, 2] == pytest.approx(-AXIAL_N, abs=0.2)
     np.testing.assert_array_equal(columns["t_s"], read_log(log).t_s)
-
-    status = columns["force_status"]
-
-    assert status[0] == 2
-    assert set(status[columns["t_s"] > 2.5]) == {0}
-    assert 1 in status[columns["t_s"] < 2.5]
-
-    travel = start.rotation[:, 2] @ (end.translation - start.translation)
-
+    assert (status[0], {*status[~is_tared]}, {*status[is_tared]}) == (2, {1, 2}, {0})
     assert columns["travel_m"][[0, -1]] == pytest.approx([0.0, travel], abs=1e-12)
 
 
@@ -145,18 +136,14 @@ def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
     forces, summary, _ = run(
         {name: values[keep] for name, values in columns.items()}, *TARE
     )
-    rejected = np.flatnonzero(forces["force_status"] == 3)
+    is_rejected = forces["force_status"] == 3
+    rejected = np.flatnonzero(is_rejected)
 
-    np.testing.assert_array_equal(rejected, [*range(2000, 2010), 3150])
+    assert rejected.tolist() == [*range(2000, 2010), 3150]
     assert np.isnan(forces["axial_N"][rejected]).all()
-
-    valid = forces["force_status"] != 3
-
-    assert np.isfinite(np.stack([forces[n][valid] for n in forces])).all()
+    assert np.isfinite(np.stack([forces[n][~is_rejected] for n in forces])).all()
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    assert summary["rejected"].startswith("12: 10 x q ")
-    assert "1 x bad time stamp" in summary["rejected"]
-    assert "12 rejected" in summary["samples"]
+    assert re.match("12: 10 x q .*1 x bad time stamp", summary["rejected"])
     assert summary["gaps"].startswith("1 longer than 0.1 s (longest 0.151 s)")
 
 
@@ -171,26 +158,25 @@ def test_torques_that_stay_unlike_the_arms_are_a_warning(lwr, run, first_row, wa
     assert ("warning: model mismatch" in said) is warns
 
 
-def test_a_link_is_left_out_and_a_known_arm_loaded(lwr, run, tmp_path):
+def test_a_link_is_left_out(run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
     arm = load_urdf(urdf, tool_frame="tip", locked_joints=["gripper"])
-    robot = ["--urdf", str(urdf), "--tool-frame", "tip"]
-    offset = ["--without", "finger", "--tip-offset", "0", "0", "0.1", "--no-tare"]
-    _, summary, _ = run(insertion(arm, axial_N=3.0), *robot, *offset)
+    options = "--tool-frame tip --without finger --tip-offset 0 0 0.1 --no-tare"
+    log = insertion(arm, axial_N=3.0)
+    _, summary, _ = run(log, "--urdf", str(urdf), *options.split())
 
     assert summary["robot"].startswith("arm, 2 joints, payload 0 kg")
     assert summary["sensor"].startswith("point force at tool")
 
-    columns = insertion(lwr, seconds=0.6)
-    six = {"t_s": columns["t_s"]} | {
-        name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")
-    }
-    forces, summary, _ = run(six, "--robot", "ur10e", "--no-tare")
+
+def test_a_known_arm_is_loaded_and_without_a_tare_no_force_is_valid(lwr, run):
+    log = insertion(lwr, seconds=0.6)
+    six = {name: log[name][:, :6] for name in ("q_rad", "tau_Nm")}
+    forces, summary, _ = run(six | {"t_s": log["t_s"]}, "--robot", "ur10e", "--no-tare")
 
     assert "6 joints, payload 0 kg" in summary["robot"]
     assert 0 not in forces["force_status"]
-    assert summary["tare"].startswith("none")
     assert summary["axial force"].endswith("not tared")
 
 
@@ -243,12 +229,12 @@ def check(tmp_path, capsys, columns, *options):
 
 def test_check_finds_nothing_doubtful_in_a_sound_log(lwr, tmp_path, capsys):
     code, found = check(tmp_path, capsys, insertion(lwr), *TARE)
+    torque_scale = float(found["facts"]["torque"].split()[0])
 
-    assert code == 0
-    assert found["warnings"] == []
+    assert (code, found["warnings"]) == (0, [])
     assert found["facts"]["samples"].startswith("4000 in 3.999 s at 1000 Hz: ")
     assert found["channels"]["tau"].startswith("tau_Nm in Nm")
-    assert float(found["facts"]["torque"].split()[0]) == pytest.approx(1.0, abs=0.1)
+    assert torque_scale == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -273,5 +259,4 @@ def test_check_ends_with_1_where_something_is_doubtful(
     columns[channel] = change(columns[channel])
     code, found = check(tmp_path, capsys, columns, *options)
 
-    assert code == 1
-    assert word in found["facts"][fact]
+    assert (code, word in found["facts"][fact]) == (1, True)

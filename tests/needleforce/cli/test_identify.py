@@ -1,7 +1,6 @@
 """`needleforce identify` and `report`: from a recording to layers, table, figure,
 page."""
 
-import os
 import re
 import signal
 
@@ -64,16 +63,14 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     png = tmp_path / "o.png"
     table, (layer,), _ = identify("--png", str(png), "--over", "depth")
 
-    assert "±" in layer["friction N"]
-    assert len(table) == len(needle["t_s"])
-    assert np.count_nonzero(table["rupture"]) == 1
-    assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
-    assert np.all(table["used"] == 1)
-    is_met = table["in_contact"] > 0
-    below_mm = 1e3 * table["depth_in_tissue_m"][is_met]
-    assert np.isnan(table["depth_in_tissue_m"][0])
+    (rupture_m,) = table["depth_in_tissue_m"][table["rupture"] > 0]
     end_mm, end_std_mm = map(float, layer["to mm"].split("±"))
-    assert end_mm == pytest.approx(below_mm[table["rupture"][is_met] > 0][0], abs=0.5)
+
+    assert "±" in layer["friction N"]
+    assert table["used"].tolist() == [1.0] * len(needle["t_s"])
+    assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
+    assert np.isnan(table["depth_in_tissue_m"][0])
+    assert end_mm == pytest.approx(1e3 * rupture_m, abs=0.5)
     assert 0.0 < end_std_mm < 1.0
     assert float(layer["from mm"]) == pytest.approx(0.0, abs=0.1)
     assert png.read_bytes()[:4] == b"\x89PNG"
@@ -85,11 +82,10 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
 )
 def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
     rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)
+    alarm_s = rows["t_s"][rows["rupture"] > 0][0]
     log_s = replay(needle["t_s"], needle["depth_m"], needle["force_N"]).layers[0]
 
-    assert float(layer["alarm s"]) == pytest.approx(
-        rows["t_s"][rows["rupture"] > 0][0], abs=0.006
-    )
+    assert float(layer["alarm s"]) == pytest.approx(alarm_s, abs=0.006)
     if method == "mixture":
         assert float(layer["rupture s"]) == pytest.approx(
             start_s + log_s.rupture.time_s, abs=0.03
@@ -97,18 +93,16 @@ def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
 
 
 @pytest.mark.parametrize(
-    ("change", "word"),
+    ("name", "factor", "word"),
     [
-        ({"force_N": -1.0}, "force is negative"),
-        ({"depth_m": -1.0}, "depth falls"),
-        ({"speed_m_s": -1.0}, "speed has the sign"),
-        ({"depth_m": 1e3}, "millimetres"),
+        ("force_N", -1.0, "force is negative"),
+        ("depth_m", -1.0, "depth falls"),
+        ("speed_m_s", -1.0, "speed has the sign"),
+        ("depth_m", 1e3, "millimetres"),
     ],
 )
-def test_wrong_signs_and_units_are_a_warning(needle, identify, change, word):
-    ((name, factor),) = change.items()
-    others = {} if name == "speed_m_s" else {"speed_m_s": ()}
-    *_, said = identify(**others, **{name: factor * needle[name]})
+def test_wrong_signs_and_units_are_a_warning(needle, identify, name, factor, word):
+    *_, said = identify(**{"speed_m_s": ()} | {name: factor * needle[name]})
 
     assert word in said
 
@@ -124,24 +118,23 @@ def test_the_unit_of_a_force_is_named_or_refused(needle, tmp_path, capsys):
 
 
 def test_a_log_of_which_no_row_is_used_is_refused(needle, tmp_path, capsys):
-    log = tmp_path / "log.csv"
-    depth_m = needle["depth_m"].copy()
-    force_N = needle["force_N"].copy()
-    depth_m[: len(depth_m) // 2] = np.nan
-    force_N[len(force_N) // 2 :] = np.nan
-    write_table(log, {"t_s": needle["t_s"], "depth_m": depth_m, "force_N": force_N})
-    for argv in (["identify", str(log)], ["report", str(log), str(tmp_path / "page")]):
-        said = refusal(argv, capsys)
-        assert "depth_m" in said
+    log = str(tmp_path / "log.csv")
+    is_late = np.arange(len(needle["t_s"])) >= len(needle["t_s"]) // 2
+    columns = {
+        "t_s": needle["t_s"],
+        "depth_m": np.where(is_late, needle["depth_m"], np.nan),
+        "force_N": np.where(is_late, np.nan, needle["force_N"]),
+    }
+    write_table(log, columns)
+    for argv in (["identify", log], ["report", log, str(tmp_path / "page")]):
+        assert "depth_m" in refusal(argv, capsys)
     assert not (tmp_path / "page").exists()
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e6])
 def test_a_time_in_ms_or_us_is_not_taken_for_seconds(needle, tmp_path, capsys, factor):
     log = tmp_path / "log.csv"
-    names = ("depth_m", "force_N")
-    columns = {"t_s": factor * needle["t_s"]} | {name: needle[name] for name in names}
-    write_table(log, columns)
+    write_table(log, needle | {"t_s": factor * needle["t_s"]})
 
     assert f"{factor / 250:.4g} s" in refusal(["identify", str(log)], capsys)
 
@@ -151,20 +144,19 @@ def test_an_interrupted_report_leaves_the_page_that_was_there(
 ):
     log = tmp_path / "log.csv"
     write_table(log, needle)
-    page = tmp_path / "page" / "index.html"
-    page.parent.mkdir()
-    page.write_text("of yesterday")
-    draw = Axes.plot
+    folder = tmp_path / "page"
+    folder.mkdir()
+    (folder / "index.html").write_text("of yesterday")
 
-    def stop_and_draw(*args, **kwargs):
+    def stop(*_, **__):
         signal.raise_signal(signal.SIGINT)  # as Ctrl-C, while the page is made
-        return draw(*args, **kwargs)
 
-    monkeypatch.setattr(Axes, "plot", stop_and_draw)
+    monkeypatch.setattr(Axes, "plot", stop)
 
-    assert main(["report", str(log), str(page.parent)]) == INTERRUPTED
-    assert page.read_text() == "of yesterday"
-    assert os.listdir(page.parent) == ["index.html"]
+    assert main(["report", str(log), str(folder)]) == INTERRUPTED
+    assert {file.name: file.read_text() for file in folder.iterdir()} == {
+        "index.html": "of yesterday"
+    }
 
 
 def test_codes_match_sensor_and_session():
@@ -185,20 +177,26 @@ def test_marked_rows_are_counted_and_ignored(needle, identify):
 
     assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
     assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]
-    assert len(identify(status=np.ones(count))[1]) == 1
 
-    marked = {"force_warnings": np.full(count, 32)}
 
-    assert len(identify("--ignore-status", **marked)[1]) == 1
-    # It may be another sensor's.
-    assert len(identify("--force", "force_N", **marked)[1]) == 1
+@pytest.mark.parametrize(
+    ("options", "column", "code"),
+    [
+        ([], "status", 1),
+        (["--ignore-status"], "force_warnings", 32),
+        (["--force", "force_N"], "force_warnings", 32),  # it may be another sensor's
+    ],
+)
+def test_marks_that_do_not_count_hide_no_layer(needle, identify, options, column, code):
+    marks = np.full(len(needle["t_s"]), code)
+
+    assert len(identify(*options, **{column: marks})[1]) == 1
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     """A simulated recording, its forces with a tare, and the layers in them, each
     with a page."""
-    pytest.importorskip("matplotlib")
     folder = tmp_path_factory.mktemp("report")
     run = short_run()
     rows = np.flatnonzero(run.signals.t_s < 34.0)[::2]
@@ -221,27 +219,31 @@ def test_a_page_begins_with_what_was_found_and_ends_with_the_settings(pages):
         for name in ("a/log", "layers")
     )
     lead = page[: page.index("<section")]
+    sections = [re.findall('<section id="([^"]+)"', each) for each in (page, alone)]
+    layers = [
+        re.search(r"Layers traversed.*?</table>", each, re.DOTALL).group()
+        for each in (page, alone)
+    ]
 
     # Names from files stay text.
-    assert "Forces and layers from &lt;b&gt;log.npz" in page
+    assert "&lt;b&gt;log.npz" in page
     assert "<b>" not in page
     assert re.search(r"Force along the needle: \S+ to \S+ N", lead)
     assert re.search(r"rupture.* detected, [\d.]+ mm below first contact", lead)
     assert "Warning: rows whose status" in lead
     assert "not a medical device" in lead
-    sections = "figures summary channels identification sensor"
-    assert re.findall('<section id="([^"]+)"', page) == sections.split()
-    sections = "figures channels identification"
-    assert re.findall('<section id="([^"]+)"', alone) == sections.split()
+    assert sections == [
+        ["figures", "summary", "channels", "identification", "sensor"],
+        ["figures", "channels", "identification"],
+    ]
     assert f"<td>{SENSOR.gain_per_s}</td>" in page
-    tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
-    assert tables[0].group() == tables[1].group()
+    assert layers[0] == layers[1]
 
 
 def test_joints_of_two_arms_do_not_matter_for_depth_and_force(tmp_path):
-    rows = "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n"
-    rows += "0.1,0.001,1,1,1,1,1\n"
-    (tmp_path / "two.csv").write_text(rows)
+    (tmp_path / "two.csv").write_text(
+        "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n0.1,0.001,1,1,1,1,1\n"
+    )
 
     assert main(["report", str(tmp_path / "two.csv"), str(tmp_path / "two")]) == 0
 
@@ -249,11 +251,8 @@ def test_joints_of_two_arms_do_not_matter_for_depth_and_force(tmp_path):
 @needs_chromium
 def test_pages_open_on_a_phone(pages):
     for page in (pages / name / "index.html" for name in ("a/log", "layers")):
-        assert logged(page) == []
         sizes = measured(page, PHONE)
+        figures = page.read_text(encoding="utf-8").count("<figcaption>")
+        assert (logged(page), sizes["wide"], len(sizes["images"])) == ([], [], figures)
         assert sizes["content"] <= PHONE[0]
-        assert sizes["wide"] == []
-        assert len(sizes["images"]) == page.read_text(encoding="utf-8").count(
-            "<figcaption>"
-        )
         assert min(sizes["images"]) > 150
