@@ -70,12 +70,11 @@ def check_a_force() -> None:
 
 
 def check_commands() -> None:
-    """The command and its forwards start without the optional extras."""
+    """The command starts without the optional extras."""
     beside = Path(sys.executable).parent / "needleforce"
     for command in (
         [str(beside), "force", "--help"],
         [sys.executable, "-I", "-m", "needleforce", "identify", "--help"],
-        [sys.executable, "-I", "-m", "residual", "--help"],
     ):
         said = subprocess.run(
             command, capture_output=True, text=True, check=True
