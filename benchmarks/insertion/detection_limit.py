@@ -68,9 +68,8 @@ def sum_evidence(noise: Array, response: Array) -> Array:
         [np.mean(noise[: noise.size - lag] * noise[lag:]) for lag in lags]
     )
     correlation *= np.hanning(2 * response.size)[response.size :]
-    correlation[0] *= (
-        1.001  # what few samples know of long lags must not make it singular
-    )
+    # What few samples know of long lags must not make the matrix singular.
+    correlation[0] *= 1.001
     factor = cholesky(toeplitz(correlation), lower=True)
     return np.cumsum(solve_triangular(factor, response, lower=True) ** 2)
 
@@ -87,6 +86,7 @@ def find_limit_s(run: Run, held: Run, rupture: Rupture, source: Source) -> float
         source: Which signals: ``ft``, the axial force at the needle's base;
             ``virtual``, the torques of all joints.
     """
+    # The sample before the onset: the release begins between two samples.
     onset = int(np.searchsorted(run.truth.t_s, rupture.onset_s)) - 1
     contact = int(np.searchsorted(run.truth.t_s, run.truth.contact_s))
     heard = slice(onset, onset + CORRELATED_SAMPLES)

@@ -180,6 +180,7 @@ def may_be_braking(
     if 0.0 < travelled_s < 0.5:
         # A filtered depth is as late as its speed, an unfiltered one is not.
         speed = min(speed, travel_mm / travelled_s)
+        # A difference of two depths has 1.4 times the noise of one.
         noise_mm_s = max(noise_mm_s, 1.4 * block.depth_std_mm / travelled_s)
     loss = 1.0 - speed / max(speed_before, 1e-3)
     # Relative fall that braking explains, per fraction of the speed lost, less of a

@@ -94,7 +94,7 @@ def at(depth_m, in_contact=False, **how):
 
 
 def play(manager, sensor, *steps):
-    """Play steps, and return the last situation.
+    """Play steps, assert what each expects, and return the last situation.
 
     An event is requested; with "!" before it that must be refused, and for a reason
     with the word after it. A state must be the one after a cycle. A number is time that
