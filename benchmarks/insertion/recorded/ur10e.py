@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
-from benchmarks.insertion.recorded import add_link
-from benchmarks.insertion.recorded.liver import read_arrays, read_table
+from benchmarks.insertion.recorded import add_link, read_arrays, read_table
 from benchmarks.insertion.signals import JointSignals, tool_jacobians
 from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
@@ -130,7 +129,7 @@ def run(job: Job) -> list[Figure]:
 
 def _residual(arm: Ur10e, signals: JointSignals) -> Array:
     """Return the residual after every sample [Nm], shape (n, j)."""
-    return joint_residual(arm.robot, signals, GAIN_per_s, friction=arm.friction)
+    return joint_residual(arm.robot, signals, GAIN_per_s, arm.friction)
 
 
 def _settled(signals: JointSignals) -> NDArray[np.bool_]:
