@@ -168,11 +168,12 @@ def show_limits(spec: RowSpec) -> str:
 
 def show_mark(spec: RowSpec, ours: Sequence[float]) -> str:
     """Return whether our figures keep their limits, and which does not."""
-    judged = []
-    for part, value in zip(spec.parts, ours, strict=True):
-        target = find_target(spec, part)
-        if target is not None:
-            judged.append(target.is_met_by(value))
+    targets = [find_target(spec, part) for part in spec.parts]
+    judged = [
+        target.is_met_by(value)
+        for target, value in zip(targets, ours, strict=True)
+        if target is not None
+    ]
     if not judged:
         return ""
     if all(judged):

@@ -174,14 +174,12 @@ def teleoperate(
         sensor: Settings of the virtual sensor.
     """
     of_lines = np.random.default_rng(seed)
-    jitter_s = min(5e-3, delay_s)
-    to_arm = DelayLine(delay_s, jitter_s, of_lines)
-    to_hand = DelayLine(delay_s, jitter_s, of_lines)
+    delay = (delay_s, min(5e-3, delay_s), of_lines)  # with jitter
     teleoperation = Teleoperation(
         motion_scale=hand.scale,
         shown=shown,
         force_lag_s=1.0 / sensor.slowest_gain_per_s,
-        lines=(to_arm, to_hand),
+        lines=(DelayLine(*delay), DelayLine(*delay)),
     )
     master = HapticMaster(random_operator(lambda t_s: (0.0, 0.0, hand.at(t_s)[0]), rng))
     handle_watch = HandleWatch()

@@ -3,7 +3,7 @@
 And the errors of a force.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple, cast
 
@@ -264,8 +264,8 @@ class Alarm(NamedTuple):
     online: LayerEstimate | None
 
 
-def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
-    """Return every rupture reported, in order.
+def alarms_of(result: Replay, t_s: Array, start: int) -> Iterator[Alarm]:
+    """Yield every rupture reported, in order.
 
     Estimates begin with sample `start` of the n instants.
     """
@@ -276,7 +276,6 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
         if estimate.identified_layer is not None
     )
     online = {layer.rupture.alarm_s: layer for layer in known}
-    alarms = []
     for k, estimate in enumerate(result.estimates, start):
         event = estimate.rupture
         if event is None:
@@ -285,21 +284,7 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
         # The estimated time may have become better since the alarm.
         final_rupture = event if layer is None else layer.rupture
         rupture_s = float(t_s[k]) - (event.alarm_s - final_rupture.time_s)
-        alarms.append(
-            Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
-        )
-    return alarms
-
-
-def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
-    """Return the sum of B d over the traversed layers, as known at the end.
-
-    Each counts at the speed of its rupture.
-    """
-    layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
-    return sum(
-        layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers
-    )
+        yield Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -443,12 +428,12 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Figure]:
     estimate = reading.axial_N[judged]
     true = truth.axial_N[judged]
     error = estimate - true
-    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
-    values: dict[str, float] = dict.fromkeys(names, np.nan)
+    is_covered = np.abs(error) <= 2.0 * reading.std_N[judged]
+    numbers = (np.nan, np.nan, np.nan)
     if error.size > 0:
-        inside = np.abs(error) <= 2.0 * reading.std_N[judged]
-        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
-        values = dict(zip(values, map(float, numbers), strict=True))
+        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(is_covered))
+    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
+    values: dict[str, float] = dict(zip(names, map(float, numbers), strict=True))
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
     return make_figures(values, reading.source, reading.method)

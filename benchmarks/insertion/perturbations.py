@@ -5,7 +5,7 @@ within which range, and why. Its fields are those of `Perturbation`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -160,7 +160,7 @@ class Perturbation(
         if self.steps is not None:
             speed_m_s = travel_m / sum(move.duration_s for move in moves)
             ramp = 0.1
-            moves = _pieces(self.steps, travel_m, speed_m_s, rng)
+            moves = list(_pieces(self.steps, travel_m, speed_m_s, rng))
         if self.tare_stroke_m is not None:
             stroke_m = drawn(self.tare_stroke_m, rng)
         return protocol(standoff_m, moves, ramp_fraction=ramp, tare_stroke_m=stroke_m)
@@ -222,22 +222,22 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     return TissueMotion(waves=tuple(waves_drawn))
 
 
-def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[Move]:
-    """Return the moves of an insertion with rests, and steps back."""
-    moves: list[Move] = []
+def _pieces(
+    steps: _Steps, total_m: float, speed_m_s: float, rng: Rng
+) -> Iterator[Move]:
+    """Yield the moves of an insertion with rests, and steps back."""
     place_m = reached_m = 0.0
     while total_m - reached_m > 20e-3:  # no rest where so little is left
         reached_m += drawn(steps.every_m, rng)
         travel_m = reached_m - place_m
         back_m = drawn(steps.back_m, rng)
-        moves.append(Move("cruise", travel_m / speed_m_s, travel_m))
-        moves.append(Move("rest", drawn(steps.rest_s, rng), 0.0))
+        yield Move("cruise", travel_m / speed_m_s, travel_m)
+        yield Move("rest", drawn(steps.rest_s, rng), 0.0)
         if back_m > 0.0:
-            moves.append(Move("cruise", back_m / speed_m_s, -back_m))
+            yield Move("cruise", back_m / speed_m_s, -back_m)
         place_m = reached_m - back_m
     last_m = total_m - place_m
-    moves.append(Move("cruise", last_m / speed_m_s, last_m))
-    return moves
+    yield Move("cruise", last_m / speed_m_s, last_m)
 
 
 def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:

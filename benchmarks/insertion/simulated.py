@@ -127,7 +127,7 @@ def read_sensors(run: Run, methods: Sequence[Method] = tuple(METHODS)) -> Simula
     )
     place_m = run.scenario.motion.position_m
     contact_m = float(place_m(start_s) - place_m(run.tare_end_s))
-    sessions = {
+    sessions: dict[Method, SessionRun] = {
         method: run_session(
             run.robot, signals, method, run.tare_end_s, contact_m=contact_m
         )

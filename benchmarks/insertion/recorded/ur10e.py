@@ -108,8 +108,10 @@ def run(job: Job) -> list[Figure]:
     residual) is therefore all there is to fit.
     """
     arm = read_ur10e(job.recordings)
-    residual_unloaded = _residual(arm, arm.unloaded)
-    residual_loaded = _residual(arm, arm.loaded)
+    residual_unloaded, residual_loaded = (
+        joint_residual(arm.robot, signals, GAIN_per_s, arm.friction)
+        for signals in (arm.unloaded, arm.loaded)
+    )
     values = _force_up(arm.robot, arm.unloaded, residual_unloaded, "force_up_unloaded")
     values |= _force_up(arm.robot, arm.loaded, residual_loaded, "force_up_loaded")
     # What the model misses at each joint without payload: the weights of the fit.
@@ -125,11 +127,6 @@ def run(job: Job) -> list[Figure]:
     values["torque_scale"] = scale
     values["weight_error_pct"] = 100.0 * (scale * second / payload_kg - 1.0)
     return make_figures(values)
-
-
-def _residual(arm: Ur10e, signals: JointSignals) -> Array:
-    """Return the residual after every sample [Nm], shape (n, j)."""
-    return joint_residual(arm.robot, signals, GAIN_per_s, arm.friction)
 
 
 def _settled(signals: JointSignals) -> NDArray[np.bool_]:
