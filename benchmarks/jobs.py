@@ -5,10 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, SupportsFloat
 
-RECORDING = "recording"
-"""The plant of a benchmark on real data."""
-NO_PLANT = "no-arm"
-"""The plant of a benchmark in which no arm plays a part."""
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
 
