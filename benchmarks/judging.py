@@ -31,11 +31,9 @@ COLUMNS = (
 KEYS = list(COLUMNS[:6])
 """All but value and unit: what makes rows of two runs comparable."""
 TISSUE = tuple(name for name, item in SCENARIOS.items() if item.layers)
-GELS = tuple(name for name in TISSUE if name.startswith("gel-"))
-"""Single gels, those of Table I."""
 JUDGED_TOGETHER: Mapping[str, tuple[str, ...]] = {
     "tissue": TISSUE,
-    "gels": GELS,
+    "gels": tuple(name for name in TISSUE if name.startswith("gel-")),
     "stacks": tuple(name for name in TISSUE if name.startswith("stack-")),
     "random": (RANDOM_STACK,),
 }

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.insertion.methods import identify
 from benchmarks.insertion.metrics import (
+    ADVANCING_m_s,
     coverage_metrics,
     enhanced_metrics,
     event_metrics,
@@ -110,9 +111,6 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
 CASES = tuple(PARTS)
 """One part a case; the first is all of them at work."""
 
-RESTING_m_s = 1e-4
-"""Below this speed the needle rests."""
-
 
 @contextmanager
 def switched_off(part: str) -> Iterator[None]:
@@ -128,7 +126,7 @@ def _with_hub_force(
 ) -> tuple[NeedleSignal, NDArray[np.bool_]]:
     """Add a force at the hub, twice for up to a second; return when it acts as well."""
     speed_m_s = np.abs(truth.speed_m_s)
-    is_chosen = truth.is_insertion & ((speed_m_s < RESTING_m_s) == at_rest)
+    is_chosen = truth.is_insertion & ((speed_m_s < ADVANCING_m_s) == at_rest)
     times_s = truth.t_s[is_chosen]
     total_N = signal.force_N.copy()
     acts = np.zeros(len(total_N), dtype=bool)
