@@ -1,7 +1,7 @@
 """Run many jobs on this machine or a cluster; their numbers are one Parquet file.
 
-The columns of a file, and of every frame of results, are `COLUMNS`; the file also names
-the commit of the code (``frame.attrs``).
+The columns of a file, and of every frame of results, are `judging.COLUMNS`; the file
+also names the commit of the code (``frame.attrs``).
 """
 
 import subprocess
@@ -20,21 +20,8 @@ from rich.progress import track
 from benchmarks import BenchmarkError, ResultsError
 from benchmarks.catalogue import BENCHMARKS
 from benchmarks.jobs import Job
-from benchmarks.judging import METRICS, unit_of
+from benchmarks.judging import COLUMNS, KEYS, METRICS, unit_of
 from foundation.errors import NeedleforceError
-
-COLUMNS = (
-    "scenario",
-    "plant",
-    "seed",
-    "source",
-    "method",
-    "metric",
-    "value",
-    "unit",
-)
-KEYS = COLUMNS[:6]
-"""All but value and unit: what makes rows of two runs comparable."""
 
 
 class JobResult(NamedTuple):
@@ -150,7 +137,7 @@ def join_frames(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Return all rows, in an order that does not depend on who was first."""
     filled = [frame for frame in frames if len(frame)] or [make_frame()]
     joined = pd.concat(filled, ignore_index=True)
-    return joined.sort_values(list(KEYS), ignore_index=True)
+    return joined.sort_values(KEYS, ignore_index=True)
 
 
 def write_results(path: Path, frames: Sequence[pd.DataFrame]) -> None:

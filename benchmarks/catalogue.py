@@ -15,7 +15,7 @@ from benchmarks import BenchmarkError, DataError
 from benchmarks.insertion.perturbations import MIXED, PERTURBATIONS, PERTURBED
 from benchmarks.insertion.robustness import SCENARIOS as ROBUST
 from benchmarks.jobs import NEEDLE, Job
-from benchmarks.judging import GELS, TISSUE
+from benchmarks.judging import TISSUE
 from groundtruth import PLANT_MODELS, SCENARIOS
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 
@@ -104,11 +104,19 @@ QUICK = (
     "abdomen-sinusoidal",
 )
 """Run when nothing is named: under a minute."""
-PAPER = (*GELS, "stack-constant", "stack-sinusoidal", *QUICK[3:])
+PAPER = (
+    "gel-70-constant",
+    "gel-70-sinusoidal",
+    "stack-constant",
+    "stack-sinusoidal",
+    "stack-glove-constant",
+    "liver-constant",
+    "abdomen-sinusoidal",
+)
 """What the figures of the paper need."""
 GROUPS: Mapping[str, Sequence[str]] = {
     "quick": QUICK,
-    "paper": tuple(dict.fromkeys(PAPER)),
+    "paper": PAPER,
     "tissue": TISSUE,
 } | {
     group: tuple(name for name, item in BENCHMARKS.items() if item.group == group)
@@ -159,10 +167,9 @@ def make_jobs(
             raise DataError(f"{name} needs recordings; there is no folder {data}")
         chosen = choose_plants(name, plants)
         begin = item.first_seed if first_seed is None else first_seed
-        count = seeds
+        chosen_seeds = range(begin, begin + seeds)
         if item.recordings:
-            begin = 0
-            count = min(item.recordings, seeds)
+            chosen_seeds = range(min(item.recordings, seeds))
         cases = import_module(item.module).CASES if item.has_cases else ("",)
         jobs += [
             Job(
@@ -171,11 +178,11 @@ def make_jobs(
                 plant=plant,
                 seed=seed,
                 data=data,
-                report=report if seed == begin else None,
+                report=report if seed == chosen_seeds[0] else None,
             )
             for case in cases
             for plant in chosen
-            for seed in range(begin, begin + count)
+            for seed in chosen_seeds
         ]
     return jobs
 

@@ -168,11 +168,12 @@ def show_limits(spec: RowSpec) -> str:
 
 def show_mark(spec: RowSpec, ours: Sequence[float]) -> str:
     """Return whether our figures keep their limits, and which does not."""
-    judged = []
-    for part, value in zip(spec.parts, ours, strict=True):
-        target = find_target(spec, part)
-        if target is not None:
-            judged.append(target.is_met_by(value))
+    targets = [find_target(spec, part) for part in spec.parts]
+    judged = [
+        target.is_met_by(value)
+        for target, value in zip(targets, ours, strict=True)
+        if target is not None
+    ]
     if not judged:
         return ""
     if all(judged):
@@ -220,8 +221,10 @@ def fill_figures(results: pd.DataFrame, commit: str) -> dict[str, Any]:
     }
 
 
-def render_table(table: TableSpec, figures: dict[str, Any]) -> str:
-    """Return a table for its pages, with the commit that it was measured on.
+def render_table(
+    table: TableSpec, figures: dict[str, Any], *, is_first: bool = True
+) -> str:
+    """Return a table for its pages; the first of a page names the commit and the runs.
 
     Lines that the campaign did not measure are named below it.
     """
@@ -236,10 +239,12 @@ def render_table(table: TableSpec, figures: dict[str, Any]) -> str:
     runs = ", ".join(
         f"{count} on `{plant}`" for plant, count in figures["runs"].items()
     )
-    text = f"{body}\n\nMeasured on commit {figures['commit']}; runs: {runs}."
+    notes = []
+    if is_first:
+        notes.append(f"Measured on commit {figures['commit']}; runs: {runs}.")
     if left_out:
-        text += f" Not measured in this campaign: {'; '.join(left_out)}."
-    return text
+        notes.append(f"Not measured in this campaign: {'; '.join(left_out)}.")
+    return f"{body}\n\n{' '.join(notes)}".rstrip()
 
 
 def fill_pages(figures: dict[str, Any]) -> dict[Path, str]:
@@ -257,7 +262,8 @@ def fill_pages(figures: dict[str, Any]) -> dict[Path, str]:
             block = re.compile(f"{re.escape(begin)}.*?{re.escape(END)}", re.DOTALL)
             if not block.search(text):
                 raise ResultsError(f"{name} has no block from '{begin}' to '{END}'")
-            filled = f"{begin}\n{render_table(table, figures)}\n{END}"
+            content = render_table(table, figures, is_first=page not in texts)
+            filled = f"{begin}\n{content}\n{END}"
             texts[page] = block.sub(lambda _, filled=filled: filled, text)
     return texts
 

@@ -17,12 +17,23 @@ import pandas as pd
 from groundtruth import SCENARIOS
 from groundtruth.scenarios import RANDOM_STACK
 
+COLUMNS = (
+    "scenario",
+    "plant",
+    "seed",
+    "source",
+    "method",
+    "metric",
+    "value",
+    "unit",
+)
+"""Of a file, and of every frame of results."""
+KEYS = list(COLUMNS[:6])
+"""All but value and unit: what makes rows of two runs comparable."""
 TISSUE = tuple(name for name, item in SCENARIOS.items() if item.layers)
-GELS = tuple(name for name in TISSUE if name.startswith("gel-"))
-"""Single gels, those of Table I."""
 JUDGED_TOGETHER: Mapping[str, tuple[str, ...]] = {
     "tissue": TISSUE,
-    "gels": GELS,
+    "gels": tuple(name for name in TISSUE if name.startswith("gel-")),
     "stacks": tuple(name for name in TISSUE if name.startswith("stack-")),
     "random": (RANDOM_STACK,),
 }
@@ -292,9 +303,8 @@ def compare(old: pd.Series, new: pd.Series, kinds: pd.DataFrame) -> pd.DataFrame
 
 def compare_results(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
     """Compare two frames of results; rows are matched by all but value and unit."""
-    keys = ["scenario", "plant", "seed", "source", "method", "metric"]
-    before = old.set_index(keys)["value"]
-    after = new.set_index(keys)["value"]
+    before = old.set_index(KEYS)["value"]
+    after = new.set_index(KEYS)["value"]
     every = before.index.union(after.index)
     metrics = pd.DataFrame.from_dict(
         {name: msgspec.structs.asdict(item) for name, item in METRICS.items()}, "index"

@@ -1,8 +1,9 @@
-"""Our counterparts of the figures of Ferro et al. and of their Table I.
+"""Our counterparts of the figures of Ferro et al. that single runs draw.
 
 Each run draws into the folder of its job; `write_report` makes a page of the drawings.
 The clock of the drawings starts where the tare ends and the needle sets out, as in the
-publication. `published_figures.toml` says what is published, and what to compare.
+publication. `published_figures.toml` says what is published, and what to compare. What
+they state of all gels together (Figure 10, Table I) is in docs/reference/results.md.
 """
 
 import tomllib
@@ -20,7 +21,6 @@ from benchmarks.insertion.methods import ForceReading, Identified, identify_as_r
 from benchmarks.insertion.offline import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.insertion.signals import ForceTruth, InsertionTruth, NeedleSignal
 from benchmarks.jobs import Job
-from benchmarks.judging import GELS, TABLES, expand_groups, select
 from foundation.arrays import Array
 from identification import PUBLISHED_KV
 from identification.config import Model
@@ -29,9 +29,7 @@ from identification.published.offline import regression_matrix
 _FILE = tomllib.loads(
     Path(__file__).with_name("published_figures.toml").read_text(encoding="utf-8")
 )
-PUBLISHED = tuple(
-    item | {"scenarios": expand_groups(item["scenarios"])} for item in _FILE["figures"]
-)
+PUBLISHED = tuple(_FILE["figures"])
 """Figures in the order of the page."""
 OURS = "tab:blue"
 THEIRS = "tab:orange"
@@ -42,8 +40,8 @@ def published_number(kind: str, scenario: str) -> str:
     """Return the number of a published figure; empty where there is none.
 
     Args:
-        kind: Of drawing: ``force``, ``offline``, ``friction``, or the source whose
-            friction is compensated online.
+        kind: Of drawing: ``force``, ``offline``, or the source whose friction is
+            compensated online.
         scenario: That is drawn.
     """
     numbers = [
@@ -246,52 +244,19 @@ def draw_true_friction(local: Axes, total: Axes, truth: InsertionTruth) -> None:
     total.step(times_s, [*sums, sums[-1]], "k:", where="post", label="truth")
 
 
-def table_one(results: pd.DataFrame) -> pd.DataFrame:
-    """Return the friction of the gels [Ns/m] beside the published, as in Table I.
-
-    Ours are mean and deviation over both speeds and all seeds on the F/T sensor's
-    force, by method and by how it was identified.
-    """
-    of_gels = select(results, GELS, source="ft")
-    chosen = of_gels[of_gels["metric"].isin(TABLES["table I"])]
-    percent = chosen["scenario"].str.extract(r"gel-(\d+)-", expand=False)
-    groups = chosen.groupby([percent, "plant", "method", "metric"])["value"]
-    ours = groups.agg(["mean", "std"]).round(0)
-    published = pd.DataFrame(_FILE["table_one_Ns_per_m"]).T.add_prefix("published ")
-    return ours.join(published, on="scenario")
-
-
-def draw_gel_friction(folder: Path, results: pd.DataFrame) -> None:
-    """Draw the friction of the gels, offline and online, as in Figure 10."""
-    ours = select(results, GELS, method="ours", source="ft")
-    frictions = ours[ours["metric"].isin(TABLES["table I"])]
-    table = frictions.pivot_table("value", "scenario", "metric", "median")
-    drawing, axes = open_drawing(1)
-    table.plot(ax=axes[0, 0], style="o", ylabel="cumulative friction [Ns/m]")
-    save_drawing(
-        drawing, Job(benchmark=GELS[0], plant="gels", report=folder), "friction"
-    )
-
-
 def write_report(folder: Path, results: pd.DataFrame) -> None:
-    """Write ``index.html``: every figure that the runs have drawn, and Table I."""
+    """Write ``index.html``: every figure that the runs have drawn."""
     parts = [
         "<!DOCTYPE html><meta charset=utf-8><title>Figures of the paper</title>",
         "<style>body{max-width:70em;margin:auto}img{width:100%}</style>",
     ]
-    has_gels = results["scenario"].isin(GELS).any()
-    if has_gels:
-        draw_gel_friction(folder, results)
     for item in PUBLISHED:
         drawings = sorted(folder.glob(f"figure-{item['number']}-*.svg"))
-        is_table = item["kind"] == "table" and has_gels
-        if not drawings and not is_table:
+        if not drawings:
             continue
         parts.append(f"<h2>Figure {item['number']}: {escape(item['title'])}</h2>")
         parts += describe_published(item)
         parts += [f"<img src='{escape(path.name)}'>" for path in drawings]
-        if is_table:
-            parts.append(table_one(results).to_html())
     parts.append("<h2>Further runs</h2>")
     parts += [f"<img src='{escape(path.name)}'>" for path in folder.glob("figure--*")]
     numbers = results.groupby(["scenario", "plant", "source", "method", "metric"])

@@ -116,13 +116,12 @@ def test_the_readmes_loop_runs_with_an_arm_that_sends_no_velocities(monkeypatch)
     assert names["estimate"].status is Status.NOT_TARED
 
 
-@pytest.mark.parametrize("page", ["control", "identification", "registration"])
-def test_the_example_of_an_explanation_runs_and_prints_what_its_page_says(page):
-    text = (DOCS / "explanation" / f"{page}.md").read_text(encoding="utf-8")
-    for code in examples(text):
-        _, said = run_example(code)
+def test_the_example_of_the_identification_prints_what_its_page_says():
+    text = (DOCS / "explanation" / "identification.md").read_text(encoding="utf-8")
+    (code,) = examples(text)
+    _, said = run_example(code)
 
-        assert [line for line in said.splitlines() if f"`{line}`" not in text] == []
+    assert f"`{said.strip()}`" in text
 
 
 @pytest.mark.slow
@@ -195,15 +194,6 @@ def names():
     return names
 
 
-@pytest.mark.parametrize(
-    ("force", "weight_N", "tolerance_N"),
-    [
-        ("force", 1.961, 0.1),
-        ("force_compensated", 1.961, 0.1),
-        ("force_ur", 19.61, 1.0),
-    ],
-)
-def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
-    assert names[force] == pytest.approx(
-        np.array([0.0, 0.0, -weight_N]), abs=tolerance_N
-    )
+@pytest.mark.parametrize("force", ["force", "force_compensated"])
+def test_a_hung_weight_reads_as_its_weight(names, force):
+    assert names[force] == pytest.approx(np.array([0.0, 0.0, -1.961]), abs=0.1)

@@ -56,7 +56,7 @@ def run(job: Job) -> Iterator[Figure]:
             rng = np.random.default_rng([job.seed, number, turn])
             torso = analytic_torso(rng)
             labels = scan_of(torso, spacing_mm, rng)
-            layers_of(labels, *random_path(torso, rng))  # the first call imports
+            labels.layers_along(*random_path(torso, rng))  # the first call imports
             paths += [
                 measure_path(torso, labels, *random_path(torso, rng))
                 for _ in range(PATHS)
@@ -109,11 +109,6 @@ def random_path(
     return target + rng.uniform(0.12, 0.2) * away / np.linalg.norm(away), target
 
 
-def layers_of(labels: Labels, entry_m: NDArray, target_m: NDArray) -> list[Layer]:
-    """Return the layers of a path."""
-    return labels.layers_along(entry_m, target_m)
-
-
 def measure_path(
     torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray
 ) -> Measured:
@@ -122,7 +117,7 @@ def measure_path(
     Every crossing counts that was found between the same two layers.
     """
     begin = perf_counter()
-    layers = layers_of(labels, entry_m, target_m)
+    layers = labels.layers_along(entry_m, target_m)
     seconds = perf_counter() - begin
     truth = [
         item._replace(name=item.name or UNLABELLED)

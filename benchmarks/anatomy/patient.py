@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.anatomy import CT_FOLDER
+from benchmarks.anatomy import CT_FOLDER, draw_on, rms
 from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from needleforce.anatomy import (
@@ -116,14 +116,6 @@ CASES = (*RIGHT, *MOVED)
 """A job each, so that an interrupted run goes on."""
 
 
-def run(job: Job) -> Iterator[Figure]:
-    """Yield the figures of a case."""
-    bodies = _bodies(job.data)
-    number = CASES.index(job.case)
-    rng = np.random.default_rng([job.seed, 11, number])
-    yield from _measure(job.case, bodies, rng)
-
-
 @cache
 def _bodies(data: Path | None) -> list[Body]:
     """Return the bodies, read once in a process."""
@@ -178,10 +170,7 @@ def draw(body: Body, case: Case, rng: np.random.Generator) -> Drawn:
     is_touched = (is_near < case.radius_m) & (mesh.face_normals @ -axis > 0.35)
     areas_m2 = mesh.area_faces * is_touched
     count = 40
-    chosen = rng.choice(len(areas_m2), count, p=areas_m2 / areas_m2.sum())
-    corners = rng.dirichlet([1, 1, 1], count)
-    points_m = np.einsum("nk,nkj->nj", corners, mesh.triangles[chosen])
-    normals = mesh.face_normals[chosen]
+    points_m, normals = draw_on(mesh, areas_m2, count, rng)
     off_m = -1e-3 * case.pressed_mm * (1.0 + 0.4 * rng.uniform(-1.0, 1.0, count))
     has_slipped = rng.random(count) < case.slipped
     slips_m = rng.choice([-1.0, 1.0], count) * rng.uniform(5e-3, 20e-3, count)
@@ -203,12 +192,13 @@ def draw(body: Body, case: Case, rng: np.random.Generator) -> Drawn:
     )
 
 
-def _measure(
-    name: str, bodies: list[Body], rng: np.random.Generator
-) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield what becomes of the runs of a case."""
+    name = job.case
     case = (RIGHT | MOVED)[name]
+    bodies = _bodies(job.data)
     count = RUNS * len(bodies)
+    rng = np.random.default_rng([job.seed, 11, CASES.index(name)])
     errors_m = []
     stated_m = []
     alone_m = []
@@ -246,12 +236,7 @@ def _measure(
         return
     yield Figure("patient_accepted_pct", 100.0 * len(inside) / count, name)
     yield Figure("patient_region_coverage_95", float(np.mean(inside)), name)
-    error_rms_m = _rms(errors_m)
+    error_rms_m = rms(errors_m)
     yield Figure("patient_error_rms_mm", 1e3 * error_rms_m, name)
-    yield Figure("patient_stated_ratio", _rms(stated_m) / error_rms_m, name)
-    yield Figure("patient_to_landmarks_ratio", error_rms_m / _rms(alone_m), name)
-
-
-def _rms(values: list[Any]) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    yield Figure("patient_stated_ratio", rms(stated_m) / error_rms_m, name)
+    yield Figure("patient_to_landmarks_ratio", error_rms_m / rms(alone_m), name)

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
-from benchmarks.anatomy import CT_FOLDER
+from benchmarks.anatomy import CT_FOLDER, draw_on, rms
 from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from needleforce.anatomy import (
@@ -110,14 +110,9 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
             error.append(np.linalg.norm(registration.to_robot(TARGET_m) - truth))
             stated.append(registration.tre_m(TARGET_m))
         cover = float(np.mean(inside))
-        ratio = _rms(error) / _rms(stated)
+        ratio = rms(error) / rms(stated)
         yield Figure("landmark_region_coverage_95", cover, name)
         yield Figure("landmark_error_ratio", ratio, name)
-
-
-def _rms(values: list[Any]) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def touch(mesh: Any, front: Array, rng: np.random.Generator) -> Array:
@@ -126,15 +121,12 @@ def touch(mesh: Any, front: Array, rng: np.random.Generator) -> Array:
     One in ten has slipped off by 5 to 20 mm.
     """
     area = mesh.area_faces * (mesh.face_normals @ front > 0.15)
-    chosen = rng.choice(len(area), TOUCHES, p=area / area.sum())
-    points = np.einsum(
-        "nk,nkj->nj", rng.dirichlet([1, 1, 1], TOUCHES), mesh.triangles[chosen]
-    )
+    points, normals = draw_on(mesh, area, TOUCHES, rng)
     points = points + STD_m * rng.normal(size=points.shape)
     slipped = rng.random(TOUCHES) < OUTLIERS
     sign = rng.choice([-1.0, 1.0], (int(slipped.sum()), 1))
     far = sign * rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1))
-    points[slipped] += far * mesh.face_normals[chosen[slipped]]
+    points[slipped] += far * normals[slipped]
     return points
 
 

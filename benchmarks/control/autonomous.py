@@ -5,6 +5,7 @@ at every tick. What stops the needle is the manager, with the session's force an
 identification, or the F/T sensor's.
 """
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -69,11 +70,9 @@ def _rupture(
     )
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.125, layer=layer)
     run = Insertion(rig, plan, SafetyLimits(axial_N=OPEN_N), with_ft=sensor == "F/T")
-    reason = ""
-    for situation in run:
-        reason = situation.reason
+    (last,) = deque(run, maxlen=1)
     source = SOURCES[sensor]
-    is_refused = "has outrun the force" in reason
+    is_refused = "has outrun the force" in last.reason
     yield Figure("refused_as_too_fast", is_refused, source)
     if is_refused:
         return
@@ -101,12 +100,10 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     wall = Wall(distance_m=STRUCK_M)
     rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
-    deepest_m = 0.0
     limit_N = 2.0
     run = Insertion(rig, plan, SafetyLimits(axial_N=limit_N))
-    for _ in run:
-        deepest_m = max(deepest_m, wall.penetration_m)
-    over_N = wall.stiffness_N_per_m * deepest_m - limit_N
+    deepest_m = max(wall.penetration_m for _ in run)
+    over_N = wall.stiffness_N_per_m * max(deepest_m, 0.0) - limit_N
     yield Figure("bone_force_excess_N", over_N)
 
 

@@ -24,7 +24,6 @@ from needleforce.control.controller import Controller
 from needleforce.control.joint_limits import Limits
 from needleforce.control.tasks import Posture, RemoteCentre, TipVelocity
 
-MILLI = 1e3
 GAIN_per_s = 30.0
 """K of the constraints. Noise of the measured positions passes the loop and grows with
 the root of K; what a push displaces falls with K."""
@@ -73,7 +72,7 @@ def _circle(
         standoff_m=5e-3,
     )
     control = Controller(rig.robot, Limits(rig.robot))
-    still = [next(rig).q_rad for _ in range(round(SETTLE_s * MILLI))]
+    still = [next(rig).q_rad for _ in range(round(1e3 * SETTLE_s))]
     tool = control.tool
     tool.update(np.mean(still[len(still) // 2 :], axis=0))
     true = rig.truth
@@ -100,7 +99,7 @@ def _circle(
         tip.rate = growth * out + radius * rate * on
         off_m.append(float(np.linalg.norm(rig.truth.tip_m - true.tip_m - radius * out)))
         rig.send(control.update(sample, (constraint, tip, posture)).dq_rad_s)
-    whole = slice(round(FADE_s * MILLI), None)
+    whole = slice(round(1e3 * FADE_s), None)
     return np.array(error_m)[whole], np.array(off_m)[whole]
 
 
@@ -125,7 +124,7 @@ def run(job: Job) -> Iterator[Figure]:
 
         contacts.append(HandOnArm(at="elbow", force_N=push))
     error_m, off_m = _circle(servo, job, contacts, kind == "rcm_kinematic")
-    yield Figure("rcm_error_max_mm", MILLI * error_m.max())
+    yield Figure("rcm_error_max_mm", 1e3 * error_m.max())
     if kind == "rcm":
-        yield Figure("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(error_m**2)))
-        yield Figure("rcm_tip_error_max_mm", MILLI * off_m.max())
+        yield Figure("rcm_error_rms_mm", 1e3 * np.sqrt(np.mean(error_m**2)))
+        yield Figure("rcm_tip_error_max_mm", 1e3 * off_m.max())

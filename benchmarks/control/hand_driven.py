@@ -5,16 +5,16 @@ the tissue; then a hand takes over, which moves inwards in strokes of what a hap
 device reaches, with the clutch open while it goes back.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-from groundtruth.rig_arm import ArmSample, ArmTruth, SimulatedArm
+from groundtruth.rig_arm import ArmSample, SimulatedArm
 from groundtruth.rig_line import DelayLine
-from groundtruth.rig_operator import HapticMaster, Operator
+from groundtruth.rig_operator import HapticMaster, random_operator
 from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
 from needleforce.control import (
@@ -27,7 +27,7 @@ from needleforce.control import (
     Teleoperation,
 )
 from needleforce.control.teleoperation import Shown
-from residual import DEFAULT, SensorConfig
+from residual import SensorConfig
 
 TARE_STROKE_M = 60e-3
 """Free stroke over which the arm tares [m]."""
@@ -40,18 +40,6 @@ HAND_STROKE_M = 0.15
 
 BACK_S = 1.0
 """Time in which the hand goes back between two strokes, clutch open [s]."""
-
-
-class HandWish(NamedTuple):
-    """What the hand wants at an instant.
-
-    Attributes:
-        position_m: Where it wants to be along the needle [m].
-        pedal_down: Whether the pedal is down, so that the needle follows.
-    """
-
-    position_m: float
-    pedal_down: bool
 
 
 class HandPlan(NamedTuple):
@@ -79,194 +67,160 @@ class HandPlan(NamedTuple):
             self.needle_travel_m / self.needle_speed_m_s + (self.strokes - 1) * BACK_S
         )
 
-    def at(self, t_s: float) -> HandWish:
-        """Return what the hand wants after a time [s]."""
+    def at(self, t_s: float) -> tuple[float, bool]:
+        """Return what the hand wants after a time [s].
+
+        Returns:
+            Where it wants to be along the needle [m], and whether the pedal is down, so
+            that the needle follows.
+        """
         stroke_m = self.needle_travel_m / self.scale / self.strokes
         forward_s = stroke_m * self.scale / self.needle_speed_m_s
         stroke = min(int(t_s / (forward_s + BACK_S)), self.strokes - 1)
         within_s = max(t_s, 0.0) - stroke * (forward_s + BACK_S)
         if within_s <= forward_s or stroke == self.strokes - 1:
-            position_m = stroke_m * min(within_s / forward_s, 1.0)
-            return HandWish(position_m, pedal_down=True)
+            return stroke_m * min(within_s / forward_s, 1.0), True
         # It moves for 0.8 of that time.
         back = min((within_s - forward_s) / (0.8 * BACK_S), 1.0)
-        position_m = stroke_m * (0.5 + 0.5 * np.cos(np.pi * back))
-        return HandWish(position_m, pedal_down=False)
+        return stroke_m * (0.5 + 0.5 * np.cos(np.pi * back)), False
 
 
-@dataclass(kw_only=True)
-class Teleinsertion:
-    """What happened while the hand drove the needle; lists have one row per tick.
+class Teleinsertion(NamedTuple):
+    """What happened in n ticks while the hand drove the needle.
 
     Attributes:
-        t_s: Time [s].
-        depth_m: Position of the true tip along the needle [m].
-        tip_N: True force at the tip [N].
-        raw_N: Axial force as the virtual sensor measures it [N].
-        shown_N: Force that is sent to be felt [N].
+        t_s: Time [s], shape (n,).
+        tip_N: True force at the tip [N], shape (n,).
+        raw_N: Axial force as the virtual sensor measures it [N], shape (n,).
+        shown_N: Force that is sent to be felt [N], shape (n,).
         alarms_s: Times of the rupture alarms [s].
+        ruptures: The true ruptures.
         least_energy_J: The least true energy at the hand's port, at every instant of
             the device [J].
         drift_m: Travel of the needle beyond what the hand asked for [m].
-        ruptures: The true ruptures.
     """
 
-    t_s: list[float] = field(default_factory=list)
-    depth_m: list[float] = field(default_factory=list)
-    tip_N: list[float] = field(default_factory=list)
-    raw_N: list[float] = field(default_factory=list)
-    shown_N: list[float] = field(default_factory=list)
-    alarms_s: list[float] = field(default_factory=list)
+    t_s: Array
+    tip_N: Array
+    raw_N: Array
+    shown_N: Array
+    alarms_s: Array
+    ruptures: tuple[Rupture, ...]
     least_energy_J: float = 0.0
     drift_m: float = 0.0
-    ruptures: tuple[Rupture, ...] = ()
-
-    def rows(self, name: str) -> np.ndarray:
-        """Return one of the lists as an array."""
-        return np.array(getattr(self, name))
-
-    def add(self, truth: ArmTruth, estimate: SessionEstimate, shown_N: float) -> None:
-        """Add a row."""
-        self.t_s.append(truth.t_s)
-        self.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
-        self.tip_N.append(truth.tissue.tip_N)
-        self.raw_N.append(estimate.wrench.axial)
-        self.shown_N.append(shown_N)
-        has_alarm = estimate.identification.rupture is not None
-        if estimate.used_for_identification and has_alarm:
-            self.alarms_s.append(truth.t_s)
 
 
-class _TareStroke:
-    """The free stroke over which a session is tared, and the tare at its end."""
+class _Needle:
+    """An arm that moves along its needle only, and the session that it feeds."""
 
-    def __init__(self, session: InsertionSession) -> None:
-        self._session = session
-        self._rest_s = 0.0
-
-    def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float:
-        """Return the speed along the needle [m/s]; tare after a rest at the end.
-
-        It rises to 20 mm/s in 0.3 s, and is 8 / s of the remaining way at the end,
-        which is reached at 0.2 mm.
-        """
-        remaining_m = TARE_STROKE_M - estimate.depth_m
-        if remaining_m > 2e-4:
-            return float(min(20e-3 * min(t_s / 0.3, 1.0), 8.0 * remaining_m))
-        self._rest_s += 1e-3  # a tick of the simulated arm
-        if self._rest_s >= 0.4:
-            self._session.tare()
-        return 0.0
-
-
-class _HandLoop:
-    """The closed loop of hand, delayed lines, session and controller."""
-
-    def __init__(
-        self,
-        arm: SimulatedArm,
-        hand: HandPlan,
-        master: HapticMaster,
-        teleoperation: Teleoperation,
-        sensor: SensorConfig,
-    ) -> None:
-        self.run = Teleinsertion()
+    def __init__(self, arm: SimulatedArm, sensor: SensorConfig) -> None:
         self._arm = arm
-        self._hand = hand
-        self._master = master
-        self._teleoperation = teleoperation
-        self._handle_watch = HandleWatch()
         self._session = InsertionSession(arm.robot, sensor)
-        self._stroke = _TareStroke(self._session)
         self._controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
         self._controller.tool.update(arm.home_rad)
         self._shaft = Fixture.here(self._controller.tool)
         self._posture = Posture(arm.home_rad)
-        self._asked_m = 0.0
-        self._end_s = np.inf
 
-    @property
-    def is_over(self) -> bool:
-        """Whether all strokes, and the time after them, have passed."""
-        return self._arm.time_s > self._end_s
-
-    def update(self, sample: ArmSample) -> None:
-        """Do one tick: the tare stroke, then the hand."""
-        estimate = self._session.update(
+    def estimate(self, sample: ArmSample) -> SessionEstimate:
+        """Return what the session makes of a sample."""
+        return self._session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
-        if self._session.tared:
-            speed_m_s = self._follow_hand(estimate, sample.dt_s)
-        else:
-            # After its tare the estimate at hand still counts depth from before.
-            speed_m_s = self._stroke.speed_m_s(estimate, self._arm.time_s)
+
+    def advance(self, sample: ArmSample, speed_m_s: float) -> None:
+        """Command a speed along the needle."""
         tasks = [self._shaft, AxialSpeed(speed_m_s), self._posture]
         self._arm.send(self._controller.update(sample, tasks).dq_rad_s)
 
-    def finish(self) -> Teleinsertion:
-        """Return what happened."""
-        run = self.run
-        run.least_energy_J = self._master.least_energy_J
-        run.drift_m = run.depth_m[-1] - run.depth_m[0] - self._asked_m
-        run.ruptures = self._arm.tissue_truth().ruptures
-        return run
+    def tare(self) -> None:
+        """Make the free stroke, and tare the session after a rest at its end.
 
-    def _follow_hand(self, estimate: SessionEstimate, dt_s: float) -> float:
-        """Return the speed that the hand asks for [m/s], and let it feel the force."""
-        master = self._master
-        # 1.5 s after the last stroke.
-        end_s = self._arm.time_s + self._hand.duration_s + 1.5
-        self._end_s = min(self._end_s, end_s)
-        master.clutch = self._hand.at(master.time_s).pedal_down
-        position_m = master.position_m[2]
-        command = self._teleoperation.update(
-            self._handle_watch.update(master.read(), dt_s), estimate, dt_s
-        )
-        moved_m = master.position_m[2] - position_m
-        self._asked_m += self._hand.scale * moved_m * master.clutch
-        master.render(command.force_N)
-        self.run.add(self._arm.truth, estimate, self._teleoperation.shown_N)
-        return command.speed_m_s
+        The speed rises to 20 mm/s in 0.3 s, and is 8 / s of the remaining way at the
+        end, which is reached at 0.2 mm.
+        """
+        rest_s = 0.0
+        for sample in self._arm:
+            remaining_m = TARE_STROKE_M - self.estimate(sample).depth_m
+            if remaining_m > 2e-4:
+                begun_m_s = 20e-3 * min(self._arm.time_s / 0.3, 1.0)
+                self.advance(sample, min(begun_m_s, 8.0 * remaining_m))
+                continue
+            self.advance(sample, 0.0)
+            rest_s += 1e-3  # a tick of the simulated arm
+            if rest_s >= 0.4:
+                self._session.tare()
+                return
 
 
 def teleoperate(
     arm: SimulatedArm,
     hand: HandPlan,
+    rng: np.random.Generator,
     *,
-    seed: int = 0,
-    shown: Shown = "tip",
-    delay_s: float = 0.0,
-    operator: Callable[[Callable], Operator] = lambda wish: Operator(wish_m=wish),
-    sensor: SensorConfig = DEFAULT,
+    seed: int,
+    shown: Shown,
+    delay_s: float,
+    sensor: SensorConfig,
 ) -> Teleinsertion:
     """Tare over a stroke, then let a hand drive the needle.
 
     Args:
         arm: The arm; it starts `STANDOFF_M` above the tissue.
         hand: Where the hand wants to be.
+        rng: Source of the hand's stiffness and mass.
         seed: Seed of the jitter of the lines.
         shown: Which force is sent to be felt.
         delay_s: Delay of the lines between hand and arm, each way [s].
-        operator: Makes a hand of its wish over time.
         sensor: Settings of the virtual sensor.
     """
-    rng = np.random.default_rng(seed)
-    jitter_s = min(5e-3, delay_s)
-    to_arm = DelayLine(delay_s, jitter_s, rng)
-    to_hand = DelayLine(delay_s, jitter_s, rng)
+    of_lines = np.random.default_rng(seed)
+    delay = (delay_s, min(5e-3, delay_s), of_lines)  # with jitter
     teleoperation = Teleoperation(
         motion_scale=hand.scale,
         shown=shown,
         force_lag_s=1.0 / sensor.slowest_gain_per_s,
-        lines=(to_arm, to_hand),
+        lines=(DelayLine(*delay), DelayLine(*delay)),
     )
-    master = HapticMaster(operator(lambda t_s: (0.0, 0.0, hand.at(t_s).position_m)))
-    loop = _HandLoop(arm, hand, master, teleoperation, sensor)
+    master = HapticMaster(random_operator(lambda t_s: (0.0, 0.0, hand.at(t_s)[0]), rng))
+    handle_watch = HandleWatch()
+    needle = _Needle(arm, sensor)
+    needle.tare()
+    rows: list[tuple[float, ...]] = []
+    alarms_s: list[float] = []
+    asked_m = 0.0
+    end_s = math.inf
     for sample in arm:
-        loop.update(sample)
-        if loop.is_over:
+        estimate = needle.estimate(sample)
+        _, master.clutch = hand.at(master.time_s)
+        position_m = master.position_m[2]
+        command = teleoperation.update(
+            handle_watch.update(master.read(), sample.dt_s), estimate, sample.dt_s
+        )
+        moved_m = master.position_m[2] - position_m
+        asked_m += hand.scale * moved_m * master.clutch
+        master.render(command.force_N)
+        truth = arm.truth
+        depth_m = float(truth.tip_m @ truth.rotation[:, 2])
+        forces_N = truth.tissue.tip_N, estimate.wrench.axial, teleoperation.shown_N
+        rows.append((truth.t_s, depth_m, *forces_N))
+        has_alarm = estimate.identification.rupture is not None
+        if estimate.used_for_identification and has_alarm:
+            alarms_s.append(truth.t_s)
+        needle.advance(sample, command.speed_m_s)
+        end_s = min(end_s, arm.time_s + hand.duration_s + 1.5)  # a while after it
+        if arm.time_s > end_s:
             break
-    return loop.finish()
+    t_s, depths_m, tip_N, raw_N, shown_N = np.array(rows).T.copy()
+    return Teleinsertion(
+        t_s=t_s,
+        tip_N=tip_N,
+        raw_N=raw_N,
+        shown_N=shown_N,
+        alarms_s=np.array(alarms_s),
+        ruptures=arm.tissue_truth().ruptures,
+        least_energy_J=master.least_energy_J,
+        drift_m=depths_m[-1] - depths_m[0] - asked_m,
+    )
 
 
 class RuptureFelt(NamedTuple):
@@ -285,33 +239,23 @@ class RuptureFelt(NamedTuple):
     delay_s: float
 
 
-BEFORE_TICKS = 100
-"""Ticks before a rupture over which forces are averaged."""
-
-
-def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
-    """Return how each rupture inside the tissue was shown to the hand."""
-    felt: list[RuptureFelt] = []
-    t_s = run.rows("t_s")
-    shown_N = run.rows("shown_N")
-    raw_N = run.rows("raw_N")
-    error_N = shown_N - run.rows("tip_N")
+def ruptures_felt(run: Teleinsertion) -> Iterator[RuptureFelt]:
+    """Yield how each rupture inside the tissue was shown to the hand."""
+    ticks = 100  # before a rupture, over which forces are averaged
     for rupture in run.ruptures:
-        start = int(np.searchsorted(t_s, rupture.onset_s))
-        if rupture.layer == 0 or not BEFORE_TICKS < start < len(t_s) - 1:
+        start = int(np.searchsorted(run.t_s, rupture.onset_s))
+        if rupture.layer == 0 or not ticks < start < len(run.t_s) - 1:
             continue
-        end = int(np.searchsorted(t_s, rupture.end_s)) + 250
-        before = slice(start - BEFORE_TICKS, start)
+        end = int(np.searchsorted(run.t_s, rupture.end_s)) + 250
+        before = slice(start - ticks, start)
         after = slice(start, end)
-        felt.append(
-            RuptureFelt(
-                shown_drop=_drop(shown_N[before], shown_N[after]),
-                raw_drop=_drop(raw_N[before], raw_N[after]),
-                error_N=float(np.mean(error_N[before])),
-                delay_s=_alarm_delay_s(run.rows("alarms_s"), rupture.onset_s),
-            )
+        error_N = run.shown_N[before] - run.tip_N[before]
+        yield RuptureFelt(
+            shown_drop=_drop(run.shown_N[before], run.shown_N[after]),
+            raw_drop=_drop(run.raw_N[before], run.raw_N[after]),
+            error_N=float(np.mean(error_N)),
+            delay_s=_alarm_delay_s(run.alarms_s, rupture.onset_s),
         )
-    return felt
 
 
 def _drop(before_N: Array, after_N: Array) -> float:
@@ -325,6 +269,5 @@ def _alarm_delay_s(alarms_s: Array, onset_s: float) -> float:
     """Return the time from a rupture to its alarm [s]; nan without one."""
     # A later one is not of the rupture.
     is_of_rupture = (alarms_s >= onset_s) & (alarms_s < onset_s + 0.6)
-    if not is_of_rupture.any():
-        return float("nan")
-    return float(alarms_s[is_of_rupture][0] - onset_s)
+    first = alarms_s[is_of_rupture][:1]
+    return float(first[0] - onset_s) if first.size else math.nan

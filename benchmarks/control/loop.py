@@ -4,13 +4,12 @@ Rig, manager, program and controller take turns.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from benchmarks.insertion.methods import on_lwr
 from groundtruth.rig_arm import Servo, SimulatedArm
-from identification import Estimate, Identifier, SampleStatus
+from identification import Identifier
 from needleforce import InsertionSession
 from needleforce.control import (
     AxialSpeed,
@@ -26,9 +25,7 @@ from needleforce.control import (
     Situation,
     State,
 )
-from needleforce.control.insertion_profile import Step
 from residual import DEFAULT, Status
-from urdf import Robot
 
 SERVOS: Mapping[str, Servo] = {"S": "stiff", "I": "impedance"}
 """Inner loops, by their letter in the names of cases."""
@@ -47,12 +44,9 @@ class Insertion:
         limits: Of the manager.
         with_ft: Take the rig's F/T sensor for force and identification, zeroed over the
             tare stroke, over which the needle's weight and inertia do not show.
-        known: The robot as the session is to know it, if not as it is.
-        rest_s: Time after the end of the insertion for which it goes on; the arm has
-            come to rest after 0.15 s.
 
     Attributes:
-        manager: Of the run.
+        rig: The same.
         ended_s: When the insertion ended, on the rig's clock; None before.
     """
 
@@ -63,90 +57,69 @@ class Insertion:
         limits: SafetyLimits,
         *,
         with_ft: bool = False,
-        known: Robot | None = None,
-        rest_s: float = 0.15,
     ) -> None:
-        session = InsertionSession(
-            rig.robot if known is None else known, on_lwr(DEFAULT)
-        )
-        self.manager = Manager(session, limits)
-        self.rig = rig
-        self._rest_s = rest_s
+        session = InsertionSession(rig.robot, on_lwr(DEFAULT))
+        self._manager = Manager(session, limits)
         self._profile = InsertionProfile(plan)
         self._with_ft = with_ft
-        self._identifier = Identifier()
-        self._sample_status = SampleStatus.OK
         self._free_N = list[float]()
         self._zero_N = 0.0
+        self.rig = rig
         self.ended_s: float | None = None
 
     def __iter__(self) -> Iterator[Situation]:
         """Run until the arm rests after the insertion, or the rig's time is over."""
         rig = self.rig
-        manager = self.manager
-        beside = Beside()
+        manager = self._manager
+        identifier = Identifier()
         control = Controller(rig.robot, Limits(rig.robot))
         control.tool.update(rig.home_rad)
         # With a higher gain, positions rounded to 1.75e-4 rad shake the needle.
         line = Fixture.here(control.tool, 20.0)
         posture = Posture(rig.home_rad)
+        rest_s = 0.15  # in which the arm comes to rest after the insertion
+        beside = Beside()
         was_inside = False
         dq_rad_s = np.zeros(rig.robot.nv)
         for sample in rig:
             manager.heartbeat()
-            axial_N = self._axial_N() if self._with_ft else None
-            beside = beside._replace(
-                axial_N=axial_N,
-                sample_status=self._sample_status,
-            )
+            beside = beside._replace(axial_N=self._read_axial_N())
             situation = manager.update(sample, beside)
-            step = self._step(
-                situation, *self._identify(situation, sample.dt_s, axial_N)
-            )
+            estimate = situation.estimate
+            sample_status = beside.sample_status
+            if beside.axial_N is None:
+                step = self._profile.update(situation)
+            else:
+                identification = identifier.update(
+                    estimate.depth_m, estimate.speed_m_s, beside.axial_N, sample.dt_s
+                )
+                sample_status = identification.status
+                step = self._profile.update(situation, identification, beside.axial_N)
             if step.event:
                 manager.request(step.event)
-            if (
-                situation.estimate.status is not Status.REJECTED
-                or situation.state is State.FAULTED
-            ):
-                stack = [line, AxialSpeed(step.speed_m_s), posture]
-                command = control.update(
-                    sample, [] if situation.state is State.FAULTED else stack
-                )
-                dq_rad_s = command.dq_rad_s
+            is_faulted = situation.state is State.FAULTED
             # A sample that was rejected moves nothing: the last command stands until a
             # fault.
-            beside = Beside(rig.send(dq_rad_s), dq_rad_s)
+            if is_faulted or estimate.status is not Status.REJECTED:
+                stack = [line, AxialSpeed(step.speed_m_s), posture]
+                command = control.update(sample, [] if is_faulted else stack)
+                dq_rad_s = command.dq_rad_s
+            beside = Beside(rig.send(dq_rad_s), dq_rad_s, sample_status=sample_status)
             is_inside = situation.state in (State.INSERTION, State.TELEOP)
             if was_inside and not is_inside and self.ended_s is None:
                 self.ended_s = rig.time_s
             was_inside |= is_inside
             yield situation
-            if self.ended_s is not None and rig.time_s > self.ended_s + self._rest_s:
+            if self.ended_s is not None and rig.time_s > self.ended_s + rest_s:
                 return
 
-    def _step(self, situation: Situation, *beside: Any) -> Step:
-        """Return what the program wants."""
-        return self._profile.update(situation, *beside)
-
-    def _axial_N(self) -> float | None:
+    def _read_axial_N(self) -> float | None:
         """Return the F/T sensor's force along the needle; None before it is zeroed."""
+        if not self._with_ft:
+            return None
         reading_N = -float(self.rig.ft_wrench[2])
-        if not self.manager.session.tared:
+        if not self._manager.session.tared:
             self._free_N.append(reading_N)
             return None
         self._zero_N = self._zero_N or float(np.mean(self._free_N))
         return reading_N - self._zero_N
-
-    def _identify(
-        self, situation: Situation, dt_s: float, axial_N: float | None
-    ) -> tuple[()] | tuple[Estimate, float]:
-        """Return what the program is given beside the situation, if anything."""
-        if axial_N is None:
-            return ()
-        estimate = situation.estimate
-        identification = self._identifier.update(
-            estimate.depth_m, estimate.speed_m_s, axial_N, dt_s
-        )
-        self._sample_status = identification.status
-        return identification, axial_N

@@ -3,14 +3,13 @@
 And the errors of a force.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize_scalar
 
-from benchmarks import DataError
 from benchmarks.insertion.signals import (
     ForceTruth,
     InsertionTruth,
@@ -43,7 +42,6 @@ from residual import (
     SensorWarning,
     TareError,
 )
-from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
 METHODS: Mapping[Method, SensorConfig] = {
@@ -89,21 +87,34 @@ class SessionRun(NamedTuple):
 
     Attributes:
         reading: The force as a user has it.
-        depth_m: Shape (n,).
-        speed_m_s: Shape (n,).
+        signal: The same force with depth and speed.
         result: Of the identification, from the tare on.
         was_refused: The tare, which was then done with ``ignore_contact``.
         unsmoothed_N: The force that was identified, shape (n,).
-        warnings: What it warned of after its tare, by name.
+        warned: Those of `WARNINGS` that it gave after its tare.
     """
 
     reading: ForceReading
-    depth_m: Array
-    speed_m_s: Array
+    signal: NeedleSignal
     result: Replay
     was_refused: bool
     unsmoothed_N: Array
-    warnings: frozenset[str]
+    warned: frozenset[str]
+
+
+WARNINGS: Mapping[str, Callable[[SessionEstimate], bool]] = {
+    "torque_jump_warned": lambda found: SensorWarning.TORQUE_JUMP in found.warnings,
+    "needle_pull_warned": lambda found: (
+        found.identification.status is SampleStatus.NEEDLE_PULLED
+    ),
+    "moving_tissue_warned": lambda found: (
+        TissueWarning.TISSUE_MOVES in found.identification.warnings
+    ),
+    "hard_contact_warned": lambda found: (
+        TissueWarning.HARD_CONTACT in found.identification.warnings
+    ),
+}
+"""What may be warned of: falsely, but for some perturbed worlds."""
 
 
 def run_session(
@@ -138,7 +149,7 @@ def run_session(
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
     was_refused = False
-    warnings: set[str] = set()
+    warned: set[str] = set()
     for k, sample in enumerate(signals.samples()):
         if k == tare:
             try:
@@ -152,49 +163,25 @@ def run_session(
         series[:, k] = *estimate.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(estimate.identification)
-            warnings.update(warnings_of(estimate))
-    reading = ForceReading(
-        source="virtual", method=method, axial_N=series[0], std_N=series[1]
-    )
-    t_s = signals.t_s[tare:]
-    layers = session.layers
+            warned.update(
+                name for name, is_said in WARNINGS.items() if is_said(estimate)
+            )
+    axial_N, std_N, depth_m, speed_m_s, unsmoothed_N = series
     result = Replay(
-        t_s=t_s,
+        t_s=signals.t_s[tare:],
         estimates=tuple(estimates),
-        layers=layers,
+        layers=session.layers,
         contact_depths_m=np.empty(0),
         hints=(),
     )
     return SessionRun(
-        reading,
-        series[2],
-        series[3],
+        ForceReading(source="virtual", method=method, axial_N=axial_N, std_N=std_N),
+        NeedleSignal("virtual", signals.t_s, depth_m, speed_m_s, axial_N),
         result,
         was_refused,
-        series[4],
-        frozenset(warnings),
+        unsmoothed_N,
+        frozenset(warned),
     )
-
-
-def warnings_of(estimate: SessionEstimate) -> Iterator[str]:
-    """Yield what is warned of: falsely, but for some perturbed worlds."""
-    identification = estimate.identification
-    if SensorWarning.TORQUE_JUMP in estimate.warnings:
-        yield "torque_jump_warned"
-    if identification.status is SampleStatus.NEEDLE_PULLED:
-        yield "needle_pull_warned"
-    if TissueWarning.TISSUE_MOVES in identification.warnings:
-        yield "moving_tissue_warned"
-    if TissueWarning.HARD_CONTACT in identification.warnings:
-        yield "hard_contact_warned"
-
-
-WARNINGS = (
-    "torque_jump_warned",
-    "needle_pull_warned",
-    "moving_tissue_warned",
-    "hard_contact_warned",
-)
 
 
 def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
@@ -242,27 +229,14 @@ def ft_force(run: Run) -> ForceReading:
 
 
 def joint_residual(
-    robot: Robot,
-    signals: JointSignals,
-    gain_per_s: float,
-    *,
-    alignment: Alignment = "trapezoid",
-    friction: FrictionModel | None = None,
+    robot: Robot, signals: JointSignals, gain_per_s: float, friction: FrictionModel
 ) -> Array:
     """Return the residual of a `MomentumObserver` after every sample [Nm], (n, j).
 
     There is no tare and no wrench.
-
-    Raises:
-        DataError: The arm sent no velocities.
     """
-    if signals.dq_rad_s is None:
-        raise DataError(
-            "a plain observer needs joint velocities, and these signals have none"
-        )
-    observer = MomentumObserver(
-        robot, gain_per_s, alignment=alignment, friction=friction
-    )
+    assert signals.dq_rad_s is not None, "arms that are recorded send velocities"
+    observer = MomentumObserver(robot, gain_per_s, friction=friction)
     samples = zip(
         signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True
     )
@@ -290,8 +264,8 @@ class Alarm(NamedTuple):
     online: LayerEstimate | None
 
 
-def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
-    """Return every rupture reported, in order.
+def alarms_of(result: Replay, t_s: Array, start: int) -> Iterator[Alarm]:
+    """Yield every rupture reported, in order.
 
     Estimates begin with sample `start` of the n instants.
     """
@@ -302,7 +276,6 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
         if estimate.identified_layer is not None
     )
     online = {layer.rupture.alarm_s: layer for layer in known}
-    alarms = []
     for k, estimate in enumerate(result.estimates, start):
         event = estimate.rupture
         if event is None:
@@ -311,21 +284,7 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
         # The estimated time may have become better since the alarm.
         final_rupture = event if layer is None else layer.rupture
         rupture_s = float(t_s[k]) - (event.alarm_s - final_rupture.time_s)
-        alarms.append(
-            Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
-        )
-    return alarms
-
-
-def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
-    """Return the sum of B d over the traversed layers, as known at the end.
-
-    Each counts at the speed of its rupture.
-    """
-    layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
-    return sum(
-        layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers
-    )
+        yield Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -337,7 +296,6 @@ class Identified:
     Attributes:
         signal: What it was given.
         method: Of the identification (and, of a virtual force, of the sensor).
-        config: Its settings.
         start: The first sample it was given: the end of the tare.
         result: Its estimates.
         alarms: The ruptures it reported; their samples count from the run's first.
@@ -345,7 +303,6 @@ class Identified:
 
     signal: NeedleSignal
     method: Method
-    config: MixtureConfig | PublishedConfig
     start: int
     result: Replay
     alarms: tuple[Alarm, ...]
@@ -395,7 +352,7 @@ def identify(
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
     alarms = tuple(alarms_of(result, truth.t_s, start))
-    return Identified(signal, method, config, start, result, alarms)
+    return Identified(signal, method, start, result, alarms)
 
 
 def identify_as_run(
@@ -471,12 +428,12 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Figure]:
     estimate = reading.axial_N[judged]
     true = truth.axial_N[judged]
     error = estimate - true
-    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
-    values: dict[str, float] = dict.fromkeys(names, np.nan)
+    is_covered = np.abs(error) <= 2.0 * reading.std_N[judged]
+    numbers = (np.nan, np.nan, np.nan)
     if error.size > 0:
-        inside = np.abs(error) <= 2.0 * reading.std_N[judged]
-        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
-        values = dict(zip(values, map(float, numbers), strict=True))
+        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(is_covered))
+    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
+    values: dict[str, float] = dict(zip(names, map(float, numbers), strict=True))
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
     return make_figures(values, reading.source, reading.method)

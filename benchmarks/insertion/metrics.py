@@ -5,10 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.insertion.methods import (
-    Identified,
-    cumulative_friction_Ns_per_m,
-)
+from benchmarks.insertion.methods import Identified
 from benchmarks.insertion.offline import offline_fit, offline_metrics
 from benchmarks.insertion.ruptures import (
     Matching,
@@ -86,16 +83,18 @@ def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]
     """Return the cumulative friction B d of the one layer in Ns/m, as in Table I.
 
     True: friction over speed at the rupture. Offline: equation (6) with the multi-layer
-    model on the insertion, rupture known. Online: as the method states it in the end.
+    model on the insertion, rupture known. Online: as the method states it in the end,
+    the sum over its layers, each at the speed of its rupture.
     """
     rupture = truth.ruptures[0]
     speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
     offline = offline_fit(identified.signal, truth).layers[0]
+    layers = [alarm.layer for alarm in identified.alarms if alarm.layer is not None]
     return {
         "cumulative_friction_true_Ns_per_m": rupture.layer_friction_N / speed,
         "cumulative_friction_offline_Ns_per_m": offline.cumulative_friction_Ns_per_m,
-        "cumulative_friction_online_Ns_per_m": cumulative_friction_Ns_per_m(
-            identified.alarms
+        "cumulative_friction_online_Ns_per_m": sum(
+            layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers
         ),
     }
 
@@ -117,11 +116,11 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
         estimate.identified_layer is not None
         for estimate in identified.result.estimates
     ]
-    if True not in is_identified:
+    if True in is_identified:
+        after[: is_identified.index(True)] = False
+    else:
         exits = (rupture.end_s for rupture in truth.ruptures if rupture.layer > 0)
         after &= truth.t_s[identified.start :] > next(exits, math.inf)
-    else:
-        after[: is_identified.index(True)] = False
     enhanced = identified.series("enhanced_force_N")
     if after.any():
         for name, estimate, true in (

@@ -5,7 +5,7 @@ within which range, and why. Its fields are those of `Perturbation`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ Range = tuple[float, float]
 
 
 class _Wave(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One wave of the tissue's motion, or the trembling of a hand."""
+    """One wave of the tissue's motion."""
 
     amplitude_m: Range
     frequency_hz: Range
@@ -74,7 +74,7 @@ class Perturbation(
         tare_stroke_m: zero: at rest.
         speed_m_s: Constant speed of the insertion.
         steps: Pieces of the insertion.
-        tremor: Of the hand that holds the needle.
+        tremor: Numbers of a `Tremor` of the hand that holds the needle.
         waves: Motion of the tissue.
         tissue: Numbers of a `TissueVariation`, of every layer.
         own_laws: A random variation for every layer.
@@ -92,7 +92,7 @@ class Perturbation(
     tare_stroke_m: Range | None = None
     speed_m_s: Range | None = None
     steps: _Steps | None = None
-    tremor: _Wave | None = None
+    tremor: dict[str, Range] = {}
     waves: tuple[_Wave, ...] = ()
     tissue: dict[str, Range] = {}
     own_laws: bool = False
@@ -119,45 +119,33 @@ class Perturbation(
 
     def _scenario(self, scenario: Scenario, rng: Rng) -> Scenario:
         """Return the scenario with what this perturbation changes of it."""
-        if (
-            self.speed_m_s is not None
-            or self.steps is not None
-            or self.tare_stroke_m is not None
-        ):
-            scenario = replace(scenario, motion=self._motion(scenario.motion, rng))
-        if self.tremor is not None:
-            tremor = Tremor(
-                amplitude_m=drawn(self.tremor.amplitude_m, rng),
-                frequency_hz=drawn(self.tremor.frequency_hz, rng),
-            )
-            trembling = replace(scenario.motion, tremor=tremor)
-            scenario = replace(scenario, motion=trembling)
+        motion = self._motion(scenario.motion, rng)
+        if self.tremor:
+            motion = replace(motion, tremor=Tremor(**_drawn_each(self.tremor, rng)))
+        scenario = replace(scenario, motion=motion)
         if self.waves:
             scenario = replace(scenario, tissue_motion=_tissue_motion(self.waves, rng))
         if self.tissue:
-            numbers = {name: drawn(limits, rng) for name, limits in self.tissue.items()}
-            scenario = scenario.with_variation(TissueVariation(**numbers), rng)
+            variation = TissueVariation(**_drawn_each(self.tissue, rng))
+            scenario = scenario.with_variation(variation, rng)
         if self.own_laws:
             layers = tuple(
                 random_variation(rng).layer(layer, rng) for layer in scenario.layers
             )
             scenario = replace(scenario, layers=layers)
         if self.lateral:
-            numbers = {
-                name: drawn(limits, rng) for name, limits in self.lateral.items()
-            }
+            numbers = _drawn_each(self.lateral, rng)
             direction = float(rng.uniform(0.0, 2.0 * np.pi))
-            scenario = replace(
-                scenario, lateral=LateralForce(direction_rad=direction, **numbers)
-            )
+            lateral = LateralForce(direction_rad=direction, **numbers)
+            scenario = replace(scenario, lateral=lateral)
         if self.elbow is not None:
-            scenario = replace(
-                scenario, elbow=_pushes(self.elbow, scenario.motion, rng)
-            )
+            scenario = replace(scenario, elbow=_pushes(self.elbow, motion, rng))
         return scenario
 
     def _motion(self, motion: Motion, rng: Rng) -> Motion:
         """Return the protocol with another insertion, or another tare."""
+        if not (self.speed_m_s or self.steps or self.tare_stroke_m):
+            return motion
         standoff_m = -motion.strokes[3].end_m
         stroke_m = motion.strokes[1].travel_m
         inside = [
@@ -172,7 +160,7 @@ class Perturbation(
         if self.steps is not None:
             speed_m_s = travel_m / sum(move.duration_s for move in moves)
             ramp = 0.1
-            moves = _pieces(self.steps, travel_m, speed_m_s, rng)
+            moves = list(_pieces(self.steps, travel_m, speed_m_s, rng))
         if self.tare_stroke_m is not None:
             stroke_m = drawn(self.tare_stroke_m, rng)
         return protocol(standoff_m, moves, ramp_fraction=ramp, tare_stroke_m=stroke_m)
@@ -206,6 +194,11 @@ def drawn(limits: Range, rng: Rng) -> float:
     )
 
 
+def _drawn_each(ranges: Mapping[str, Range], rng: Rng) -> dict[str, float]:
+    """Draw a number of each range, by name."""
+    return {name: drawn(limits, rng) for name, limits in ranges.items()}
+
+
 def _like(value: object, limits: Range, rng: Rng) -> object:
     """Draw a number of the kind of the one that it takes the place of."""
     if isinstance(value, tuple):
@@ -229,22 +222,22 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     return TissueMotion(waves=tuple(waves_drawn))
 
 
-def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[Move]:
-    """Return the moves of an insertion with rests, and steps back."""
-    moves: list[Move] = []
+def _pieces(
+    steps: _Steps, total_m: float, speed_m_s: float, rng: Rng
+) -> Iterator[Move]:
+    """Yield the moves of an insertion with rests, and steps back."""
     place_m = reached_m = 0.0
     while total_m - reached_m > 20e-3:  # no rest where so little is left
         reached_m += drawn(steps.every_m, rng)
         travel_m = reached_m - place_m
         back_m = drawn(steps.back_m, rng)
-        moves.append(Move("cruise", travel_m / speed_m_s, travel_m))
-        moves.append(Move("rest", drawn(steps.rest_s, rng), 0.0))
+        yield Move("cruise", travel_m / speed_m_s, travel_m)
+        yield Move("rest", drawn(steps.rest_s, rng), 0.0)
         if back_m > 0.0:
-            moves.append(Move("cruise", back_m / speed_m_s, -back_m))
+            yield Move("cruise", back_m / speed_m_s, -back_m)
         place_m = reached_m - back_m
     last_m = total_m - place_m
-    moves.append(Move("cruise", last_m / speed_m_s, last_m))
-    return moves
+    yield Move("cruise", last_m / speed_m_s, last_m)
 
 
 def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:
@@ -270,16 +263,9 @@ PERTURBATIONS: Mapping[str, Perturbation] = {
     name: each for group in GROUPS.values() for name, each in group.items()
 }
 """By name, in the order of the table."""
-ARM_ONLY = frozenset(
-    name for group in ("pushes", "torque", "tare") for name in GROUPS[group]
-)
-"""Of these the needle without an arm feels nothing."""
 FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
 """Of these the virtual force feels nothing."""
-UNMIXED = ("plants", "unmixed")
-"""Groups of which `mixed` draws nothing."""
 MIXED = "mixed"
-MIXED_COUNT = 3
 PERTURBED = "robustness-"
 """The names of benchmarks in perturbed worlds begin so."""
 
@@ -295,8 +281,9 @@ def perturbed(
     rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
     names = (name,)
     if name == MIXED:
-        groups = [list(group) for kind, group in GROUPS.items() if kind not in UNMIXED]
-        chosen = sorted(rng.choice(len(groups), MIXED_COUNT, replace=False).tolist())
+        unmixed = ("plants", "unmixed")
+        groups = [list(group) for kind, group in GROUPS.items() if kind not in unmixed]
+        chosen = sorted(rng.choice(len(groups), 3, replace=False).tolist())
         names = tuple(groups[k][int(rng.integers(len(groups[k])))] for k in chosen)
     world = World(scenario=scenario)
     for perturbation in names:

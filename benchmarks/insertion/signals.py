@@ -1,7 +1,6 @@
 """Signals that estimators get, and the ground truth that judges their estimates."""
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 import pinocchio as pin
@@ -32,7 +31,6 @@ class InsertionTruth:
         tare_end_s: Nothing has been touched before.
         contact_s: First contact.
         insertion_end_s: The needle is at its deepest.
-        boundaries_m: Where each layer ends in undeformed tissue; empty if unknown.
     """
 
     t_s: Array
@@ -46,7 +44,6 @@ class InsertionTruth:
     tare_end_s: float
     contact_s: float
     insertion_end_s: float
-    boundaries_m: tuple[float, ...] = ()
 
     @property
     def enhanced_N(self) -> Array:
@@ -60,11 +57,6 @@ class InsertionTruth:
         """Samples from first contact to the deepest point, shape (n,)."""
         return (self.t_s >= self.contact_s) & (self.t_s <= self.insertion_end_s)
 
-    @property
-    def period_s(self) -> float:
-        """Time between two samples."""
-        return float(np.median(np.diff(self.t_s)))
-
 
 def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
     """Return the ground truth of an insertion, by the arm or by a needle alone."""
@@ -72,7 +64,7 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
     motion = run if isinstance(run, NeedleRun) else run.truth
     depth_m = motion.depth_m
     organ = run.scenario.tissue_motion
-    if isinstance(run, NeedleRun) and organ is not None:
+    if organ is not None and isinstance(run, NeedleRun):
         depth_m = depth_m - organ.at(run.t_s)[0]
     return InsertionTruth(
         t_s=motion.t_s,
@@ -84,11 +76,8 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
         layer=true.layer,
         ruptures=true.ruptures,
         tare_end_s=run.tare_end_s,
-        contact_s=run.truth.contact_s,
+        contact_s=true.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
-        boundaries_m=tuple(
-            accumulate(layer.thickness_m for layer in run.scenario.layers)
-        ),
     )
 
 
@@ -220,15 +209,6 @@ def measured_travel(
         place_and_speed[k] = tip_motion(axis, kinematics.needle, dq)
     depth_m = place_and_speed[:, 0] - float(axis.dot(start_m))
     return depth_m, place_and_speed[:, 1].copy()
-
-
-def inverse_dynamics(
-    model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array
-) -> Array:
-    """Return torques of a motion in free air, shape (n, j) like the arguments."""
-    data = model.createData()
-    rows = zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
-    return np.array([pin.rnea(model, data, *row) for row in rows])
 
 
 def tool_jacobians(

@@ -90,16 +90,15 @@ class SimulatedCase:
 
     Attributes:
         run: The insertion with its ground truth.
-        signals: What the arm sent.
         truth: What force readings are judged against.
         sessions: Of every method, as a user has it.
         best_gain: By the published sensor with the gain that suits the run, where that
             method was run.
-        ft: The F/T sensor's.
+        ft: The F/T sensor's; None without tissue, where the wrist turns and the reading
+            is mostly the needle's weight.
     """
 
     run: Run
-    signals: JointSignals
     truth: ForceTruth
     sessions: dict[Method, SessionRun]
     best_gain: ForceReading | None
@@ -108,11 +107,8 @@ class SimulatedCase:
     @property
     def readings(self) -> list[ForceReading]:
         """Axial force of every source and method."""
-        # Where the wrist turns, the F/T reading is mostly the needle's weight.
-        apart = [
-            reading for reading in (self.ft, self.best_gain) if reading is not None
-        ]
-        return [*(item.reading for item in self.sessions.values()), *apart]
+        readings = [item.reading for item in self.sessions.values()]
+        return readings + [one for one in (self.ft, self.best_gain) if one is not None]
 
 
 def read_sensors(run: Run, methods: Sequence[Method] = tuple(METHODS)) -> SimulatedCase:
@@ -120,26 +116,26 @@ def read_sensors(run: Run, methods: Sequence[Method] = tuple(METHODS)) -> Simula
     signals = JointSignals.of_run(run)
     free = not run.scenario.layers
     # From first contact to the end of withdrawal; without tissue, all after the tare.
+    start_s = run.tare_end_s if free else run.truth.contact_s
     truth = ForceTruth(
         t_s=run.truth.t_s,
         depth_m=run.truth.depth_m,
         axial_N=run.truth.axial_N,
         zeroed_s=run.tare_end_s,
-        start_s=run.tare_end_s if free else run.truth.contact_s,
+        start_s=start_s,
         end_s=run.truth.t_s[-1] if free else run.truth.withdrawn_s,
     )
     place_m = run.scenario.motion.position_m
-    touches_s = run.tare_end_s if free else run.truth.contact_s
-    contact_m = float(place_m(touches_s) - place_m(run.tare_end_s))
-    sessions: dict[Method, SessionRun] = {}
-    for method in methods:
-        sessions[method] = run_session(
+    contact_m = float(place_m(start_s) - place_m(run.tare_end_s))
+    sessions: dict[Method, SessionRun] = {
+        method: run_session(
             run.robot, signals, method, run.tare_end_s, contact_m=contact_m
         )
+        for method in methods
+    }
     published = sessions.get("published-one-setting")
     return SimulatedCase(
         run=run,
-        signals=signals,
         truth=truth,
         sessions=sessions,
         best_gain=published and best_gain(published.reading, truth, signals.dt_s),
@@ -153,24 +149,8 @@ def simulated_metrics(case: SimulatedCase) -> Iterator[Figure]:
         yield from wrench_metrics(reading, case.truth)
     for method, item in case.sessions.items():
         yield Figure("tare_refused", item.was_refused, method=method)
-    session = case.sessions.get("ours")
-    if session is not None:
-        for name in WARNINGS:
-            yield Figure(name, name in session.warnings)
-
-
-def session_signal(
-    case: SimulatedCase, method: Method, force: ForceReading
-) -> NeedleSignal:
-    """Return a force with depth and speed of a method's session.
-
-    Depth and speed come from measured joints.
-    """
-    session = case.sessions[method]
-    t_s = case.signals.t_s
-    return NeedleSignal(
-        force.source, t_s, session.depth_m, session.speed_m_s, force.axial_N
-    )
+    for name in WARNINGS:
+        yield Figure(name, name in case.sessions["ours"].warned)
 
 
 def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
@@ -181,20 +161,22 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     """
     assert case.ft is not None, "without tissue there is nothing to identify"
     truth = insertion_truth(case.run)
-    scenario = case.run.scenario
-    commanded_m_s = scenario.motion.speed_m_s(truth.t_s)
+    commanded_m_s = case.run.scenario.motion.speed_m_s(truth.t_s)
     on_ft: list[Identified] = []
     on_virtual: list[Identified] = []
     for method, session in case.sessions.items():
-        on_ft.append(identify(session_signal(case, method, case.ft), truth, method))
-        signal = session_signal(case, method, session.reading)
-        on_virtual.append(identify(signal, truth, method, result=session.result))
+        felt = replace(session.signal, source="ft", force_N=case.ft.axial_N)
+        on_ft.append(identify(felt, truth, method))
+        on_virtual.append(
+            identify(session.signal, truth, method, result=session.result)
+        )
     if case.best_gain is not None:
         on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
-        on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
-        signal = session_signal(case, "published-one-setting", case.best_gain)
+        published = on_virtual[-1].signal
+        on_virtual.append(identify_as_run(published, truth, commanded_m_s))
+        best = replace(published, force_N=case.best_gain.axial_N)
         on_virtual.append(
-            identify_as_run(signal, truth, commanded_m_s, "published-best-gain")
+            identify_as_run(best, truth, commanded_m_s, "published-best-gain")
         )
     return [on_ft, on_virtual]
 

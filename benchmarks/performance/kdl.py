@@ -18,7 +18,8 @@ from benchmarks import BenchmarkError
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Figure, Job
-from benchmarks.performance.ticks import Update, cost_ratio, fed, time_side_by_side
+from benchmarks.performance import ticks
+from benchmarks.performance.ticks import Update, cost_ratio
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
@@ -28,8 +29,6 @@ from residual.wrench_estimator import (
 )
 from urdf import Robot
 
-SCENARIO = "stack-constant"
-PLANT = "clean"
 KDL = "KDL"
 BARE = "KDL, addresses known in advance"
 OURS = "ours, observer and wrench"
@@ -195,14 +194,14 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
         KDL: KdlEstimator(library, run.robot, signals, gain_per_s),
         BARE: KdlEstimator(library, run.robot, signals, gain_per_s).bare(),
         OURS: PlainEstimator(run.robot, signals, gain_per_s),
-        SENSOR: fed(sensor, signals, tare),
+        SENSOR: ticks.fed(sensor, signals, tare),
     }
-    return time_side_by_side(subjects, tare + 1, len(signals.t_s))
+    return ticks.time_side_by_side(subjects, tare + 1, len(signals.t_s))
 
 
 def run(job: Job) -> Iterator[Figure]:
     """Compare the time of all estimators, each with KDL's."""
-    times = peer_times(simulate(SCENARIO, PLANT, job.seed), kdl_library())
+    times = peer_times(simulate(ticks.SCENARIO, ticks.PLANT, job.seed), kdl_library())
     for name, taken_us in times.items():
         yield Figure("kdl_tick_median_us", np.median(taken_us), name)
         yield Figure("kdl_tick_ratio", cost_ratio(taken_us, times[KDL]), name)

@@ -13,7 +13,7 @@ from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth import Run, simulate
-from identification import MIXTURE, PUBLISHED, MixtureConfig, PublishedConfig
+from identification import MIXTURE, PUBLISHED
 from needleforce import InsertionSession
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
 from residual.bias.estimator import BiasEstimator
@@ -81,27 +81,6 @@ def time_each(
     return taken_us
 
 
-class ChainUpdate:
-    """A session that takes the samples of an arm, called with the index of the next."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        signals: JointSignals,
-        tare: int,
-        identifier: MixtureConfig | PublishedConfig = MIXTURE,
-    ) -> None:
-        self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
-        self._samples = signals.samples()
-        self._tare = tare
-
-    def __call__(self, k: int) -> None:
-        """Take sample k."""
-        if k == self._tare:
-            self._session.tare()
-        self._session.update(*self._samples[k])
-
-
 def run(job: Job) -> Iterator[Figure]:
     """Time everything on the signals of a simulated insertion, from the tare on."""
     run = simulate(SCENARIO, PLANT, job.seed)
@@ -155,13 +134,16 @@ def make_estimators(run: Run, signals: JointSignals) -> dict[str, Update]:
     }
 
 
-def make_chains(run: Run, sent: Mapping[str, JointSignals]) -> dict[str, ChainUpdate]:
-    """Return new chains with both identifiers; the keys of `sent` end their names."""
+def make_chains(run: Run, sent: Mapping[str, JointSignals]) -> dict[str, Update]:
+    """Return new sessions with both identifiers; the keys of `sent` end their names."""
+    configs = {CHAIN: MIXTURE, PUBLISHED_CHAIN: PUBLISHED}
     return {
-        name + how: ChainUpdate(
-            run.robot, signals, first_counted(run, signals) - 1, config
+        name + how: fed(
+            InsertionSession(run.robot, on_lwr(DEFAULT), config),
+            signals,
+            first_counted(run, signals) - 1,
         )
-        for name, config in ((CHAIN, MIXTURE), (PUBLISHED_CHAIN, PUBLISHED))
+        for name, config in configs.items()
         for how, signals in sent.items()
     }
 

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from benchmarks.campaign import COLUMNS, make_frame
-from benchmarks.judging import unit_of
+from benchmarks.campaign import make_frame
+from benchmarks.judging import COLUMNS, unit_of
 from groundtruth import Scenario
 from groundtruth.materials import gel
 from groundtruth.motion import constant_motion

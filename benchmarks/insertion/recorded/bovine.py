@@ -7,43 +7,23 @@ TBME 2004, doi 10.1109/TBME.2004.831542.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
+from benchmarks.insertion.signals import NeedleSignal
 from benchmarks.jobs import Figure, Job, make_figures
-from foundation.arrays import Array
 from groundtruth.rupture_match import nearest_pairs
 from identification import PublishedConfig, replay
 
 FOLDER = "bovine_liver_okamura2004"
-SPEED_m_s = 3e-3
-NOISE_N = 0.01
-"""White noise put on it: a drawn line shows none, and every sensor has some. This is
-sigma_0, and what the points of the later strokes scatter by in free air, between two
-dips there."""
 RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
 
-class BovineInsertion(NamedTuple):
-    """The insertion as n samples.
-
-    Attributes:
-        t_s: Time, shape (n,).
-        depth_m: Depth, shape (n,).
-        force_N: Axial force, shape (n,).
-    """
-
-    t_s: Array
-    depth_m: Array
-    force_N: Array
-
-
-def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
+def read_bovine(data: Path) -> NeedleSignal:
     """Return the insertion from the points of the figure.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file
@@ -52,7 +32,6 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
 
     Args:
         data: Folder of recordings.
-        rng: Source of the noise; None for the line as it was drawn.
 
     Raises:
         DataError: The file is missing or broken.
@@ -70,14 +49,12 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     lifts = np.flatnonzero(np.diff(table[:, 0]) < -1e-3)
     stroke = table[: lifts[0] + 1] if len(lifts) else table
     depth = np.maximum.accumulate(stroke[:, 0])
-    force = stroke[:, 1]
     rate_hz = 1000.0
-    depth_m = np.arange(int(depth[-1] / SPEED_m_s * rate_hz)) / rate_hz * SPEED_m_s
-    force_N = np.interp(depth_m, depth, force)
-    if rng is not None:
-        force_N += NOISE_N * rng.standard_normal(len(depth_m))
-    t_s = np.arange(len(depth_m)) / rate_hz
-    return BovineInsertion(t_s, depth_m, force_N)
+    speed_m_s = 3e-3
+    t_s = np.arange(int(depth[-1] / speed_m_s * rate_hz)) / rate_hz
+    depth_m = t_s * speed_m_s
+    force_N = np.interp(depth_m, depth, stroke[:, 1])
+    return NeedleSignal("ft", t_s, depth_m, None, force_N)
 
 
 def run(job: Job) -> Iterator[Figure]:
@@ -89,20 +66,24 @@ def run(job: Job) -> Iterator[Figure]:
     true rupture of a simulated tissue, is reported beside it.
     `published` is given the depth of first contact, ours finds it.
     """
-    data = job.recordings
-    insertion = read_bovine(data, np.random.default_rng(job.seed))
-    drawn = read_bovine(data, None)
-    drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    drawn = read_bovine(job.recordings)
+    # A drawn line shows no noise, and every sensor has some: this is sigma_0, and what
+    # the points of the later strokes scatter by in free air, between two dips there.
+    noise_N = 0.01
+    drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * noise_N)
+    rng = np.random.default_rng(job.seed)
+    force_N = drawn.force_N + noise_N * rng.standard_normal(len(drawn.force_N))
     for method, config in IDENTIFIERS.items():
         if isinstance(config, PublishedConfig):
             # About where the needle meets the liver.
             config = replace(config, contact_depth_m=8e-3)
-        result = replay(*insertion, config=config)
+        result = replay(drawn.t_s, drawn.depth_m, force_N, config=config)
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
-        estimated_mm = [1e3 * event.depth_m for event in events]
         values = depth_metrics(
-            [1e3 * alarm for alarm in alarms_m], estimated_mm, RUPTURES_mm
+            [1e3 * alarm_m for alarm_m in alarms_m],
+            [1e3 * event.depth_m for event in events],
+            RUPTURES_mm,
         )
         values["ruptures_without_drop"] = float(
             len(events) - at_drops(alarms_m, drops)[0]

@@ -6,34 +6,16 @@ livers", Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-from zipfile import BadZipFile
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
+from benchmarks.insertion.recorded import read_arrays
 from benchmarks.jobs import Figure, Job, Method, make_figures
 from foundation.arrays import Array
 from identification import replay
-
-HAIR_m = 1e-4
-"""A difference of depth that counts as none."""
-
-
-def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
-    """Return insertion and withdrawal in a recording that holds in between.
-
-    The insertion ends where the needle is within `HAIR_m` of its deepest; the
-    withdrawal begins 2 mm above: friction has turned round and the tip touches nothing.
-    """
-    deepest = float(depth_m.max())
-    deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
-    back = np.flatnonzero(depth_m[deep[-1] :] < deepest - 2e-3)
-    out = deep[-1] + (int(back[0]) if len(back) else len(depth_m))
-    return slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m))
 
 
 def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
@@ -43,46 +25,6 @@ def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
     """
     near = np.abs(depth_m - at_m) <= 0.5e-3
     return float(np.mean(values[near])) if near.any() else float("nan")
-
-
-def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
-    """Read the named arrays of an npz file.
-
-    Raises:
-        DataError: The file cannot be read, an array is missing, empty or not finite.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            has = ", ".join(content)
-            arrays = {
-                n: np.asarray(content[n], dtype=np.float64)
-                for n in names
-                if n in content
-            }
-    except (OSError, EOFError, BadZipFile, ValueError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
-    if missing := [name for name in names if name not in arrays]:
-        raise DataError(f"{path} lacks {', '.join(missing)}; it has {has}")
-    for name, array in arrays.items():
-        if array.size == 0 or not np.isfinite(array).all():
-            raise DataError(
-                f"{name} of {path} is empty or has values that are not finite"
-            )
-    return [arrays[name] for name in names]
-
-
-def read_table(path: Path) -> dict[str, Any]:
-    """Read the table of numbers in a JSON file.
-
-    Raises:
-        DataError: The file cannot be read or is no JSON object.
-    """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    except msgspec.ValidationError as error:
-        raise DataError(f"{path} holds no table of named numbers") from error
-    except (OSError, msgspec.DecodeError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
 
 
 FOLDER = "liver_dejong2017"
@@ -105,22 +47,18 @@ class LiverInsertion(NamedTuple):
         t_s: Time since its first sample, shape (n,).
         depth_m: Shape (n,).
         force_N: Axial force as recorded, shape (n,).
-        insertion: Samples of the insertion, see `insertion_parts`.
-        withdrawal: Samples of the withdrawal.
+        insertion: Samples until the needle is at its deepest.
+        forward: Samples of insertion and hold: it does not move back yet.
+        withdrawal: Samples since it is 2 mm above the deepest: friction has turned
+            round and the tip touches nothing.
     """
 
     t_s: Array
     depth_m: Array
     force_N: Array
     insertion: slice
+    forward: slice
     withdrawal: slice
-
-    @property
-    def before_withdrawal(self) -> slice:
-        """Insertion and hold: the needle does not move back yet."""
-        return slice(
-            0, int(np.flatnonzero(self.depth_m >= self.depth_m.max() - HAIR_m)[-1]) + 1
-        )
 
     @property
     def pullout_N(self) -> tuple[float, ...]:
@@ -142,15 +80,23 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
     The index is one into `NUMBERS`.
 
     Raises:
-        DataError: There is no such insertion, or the file is missing or broken.
+        DataError: The file is missing or broken.
     """
-    if not 0 <= index < len(NUMBERS):
-        raise DataError(f"there are {len(NUMBERS)} liver insertions, no number {index}")
     number = f"{NUMBERS[index]:02d}"
     names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
     rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
-    t_s = np.arange(len(depth)) / float(rate)
-    return LiverInsertion(t_s, depth, force, *insertion_parts(depth))
+    deepest_m = float(depth.max())
+    deep = np.flatnonzero(depth >= deepest_m - 1e-4)  # which is no difference
+    back = np.flatnonzero(depth[deep[-1] :] < deepest_m - 2e-3)
+    out = int(deep[-1] + (back[0] if len(back) else len(depth)))
+    return LiverInsertion(
+        np.arange(len(depth)) / float(rate),
+        depth,
+        force,
+        insertion=slice(0, int(deep[0]) + 1),
+        forward=slice(0, int(deep[-1]) + 1),
+        withdrawal=slice(out, len(depth)),
+    )
 
 
 class ForceDrop(NamedTuple):
@@ -165,10 +111,6 @@ class ForceDrop(NamedTuple):
     from_m: float
     to_m: float
     drop_N: float
-
-
-OF_MANY = "pullout_error_p90_pct"
-"""One insertion has no 90th percentile."""
 
 
 def force_drops(
@@ -273,41 +215,42 @@ def liver_estimates(
     )
 
 
-def friction_values(
-    insertions: Sequence[LiverEstimates],
-) -> Iterator[tuple[str, float]]:
-    """Yield the errors of the friction over insertions, and how well they are stated.
+def friction_values(insertions: Sequence[LiverEstimates]) -> dict[str, float]:
+    """Return the errors of the friction over insertions, and how well they are stated.
 
     Median and 90th percentile.
     """
     true_N = np.array([item.reference[0] for item in insertions])
     error_N = np.abs(np.array([item.friction_N for item in insertions]) - true_N)
-    for name, percent in (("median", 50.0), ("p90", 90.0)):
-        error_pct = float(np.percentile(100.0 * error_N / true_N, percent))
-        yield f"pullout_error_{name}_pct", error_pct
+    values = {
+        f"pullout_error_{name}_pct": float(np.percentile(100.0 * error_N / true_N, pct))
+        for name, pct in (("median", 50.0), ("p90", 90.0))
+    }
     std_N = np.array([item.friction_std_N for item in insertions])
     if std_N.size and np.isfinite(std_N).all():
         is_covered = error_N <= 2.0 * std_N
         for mm, covers in zip(DEPTHS_mm, is_covered.T, strict=True):
-            yield f"pullout_coverage_{mm}mm", float(np.mean(covers))
+            values[f"pullout_coverage_{mm}mm"] = float(np.mean(covers))
+    return values
 
 
-def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
-    """Yield the ruptures of all insertions against the drops of the force."""
-    count = len(insertions)
-    ruptures = drops = alarmed = at_a_drop = 0
-    for item in insertions:
-        _, large, small = item.reference
-        ruptures += len(item.alarms_m)
-        drops += len(large)
-        alarmed += at_drops(item.alarms_m, large)[1]
-        at_a_drop += at_drops(item.alarms_m, small)[0]
-    yield "ruptures_per_insertion", ruptures / count
-    yield "drops_per_insertion", drops / count
+def rupture_values(insertions: Sequence[LiverEstimates]) -> dict[str, float]:
+    """Return the ruptures of all insertions against the drops of the force."""
+    ruptures = sum(len(item.alarms_m) for item in insertions)
+    drops = sum(len(item.reference[1]) for item in insertions)
+    values = {
+        "ruptures_per_insertion": ruptures / len(insertions),
+        "drops_per_insertion": drops / len(insertions),
+    }
     if drops:
-        yield "drop_recall", alarmed / drops
+        with_alarm = [
+            at_drops(item.alarms_m, item.reference[1])[1] for item in insertions
+        ]
+        values["drop_recall"] = sum(with_alarm) / drops
     if ruptures:
-        yield "ruptures_at_drops", at_a_drop / ruptures
+        at_one = [at_drops(item.alarms_m, item.reference[2])[0] for item in insertions]
+        values["ruptures_at_drops"] = sum(at_one) / ruptures
+    return values
 
 
 def run(job: Job) -> Iterator[Figure]:
@@ -315,28 +258,22 @@ def run(job: Job) -> Iterator[Figure]:
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
     what the shaft friction was there during insertion. Methods see the insertion and
-    the hold only.
+    the hold only. The rule of thumb: 0.7 of the insertion force is friction.
     """
-    data = job.recordings
-    by_method: dict[Method, list[LiverEstimates]] = {
-        "rule-of-thumb": [],
-        "published-one-setting": [],
-        "ours": [],
-    }
+    methods: tuple[Method, ...] = ("rule-of-thumb", *IDENTIFIERS)
+    by_method: dict[Method, list[LiverEstimates]] = {method: [] for method in methods}
     for index in range(len(NUMBERS)):
-        whole = read_liver(data, index)
+        whole = read_liver(job.recordings, index)
         inside = whole.insertion
-        forward = whole.before_withdrawal
-        depth = whole.depth_m[inside]
-        force = whole.force_N[inside]
-        course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
-        reference = liver_reference(whole, depth, force)
-        # The rule of thumb: this fraction of the insertion force is friction.
+        forward = whole.forward
+        reference = liver_reference(whole, whole.depth_m[inside], whole.force_N[inside])
         thumb = tuple(0.7 * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
         by_method["rule-of-thumb"].append(LiverEstimates(reference, thumb))
+        course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
     for method, estimates in by_method.items():
-        yield from make_figures(dict(friction_values(estimates)), "ft", method)
+        values = friction_values(estimates)
         if method != "rule-of-thumb":
-            yield from make_figures(dict(rupture_values(estimates)), "ft", method)
+            values |= rupture_values(estimates)
+        yield from make_figures(values, "ft", method)

@@ -21,17 +21,14 @@ from benchmarks.insertion.methods import (
     run_session,
     wrench_metrics,
 )
-from benchmarks.insertion.recorded import add_link
+from benchmarks.insertion.recorded import add_link, read_arrays, read_table
 from benchmarks.insertion.recorded.liver import (
-    OF_MANY,
     LiverInsertion,
     REST_s,
     friction_values,
     liver_estimates,
     liver_reference,
-    read_arrays,
     read_liver,
-    read_table,
     rupture_values,
 )
 from benchmarks.insertion.signals import ForceTruth, JointSignals, tool_jacobians
@@ -110,7 +107,7 @@ def run(job: Job) -> list[Figure]:
     panda = read_panda(job.recordings)
     signals = panda.signals
     gain_per_s = 30.0  # that of the known-good figures
-    residual = joint_residual(panda.robot, signals, gain_per_s, friction=panda.friction)
+    residual = joint_residual(panda.robot, signals, gain_per_s, panda.friction)
     # After five lags the observer has forgotten its start to 1 %.
     settled = signals.t_s - signals.t_s[0] >= 5.0 / gain_per_s
     rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
@@ -128,16 +125,15 @@ def identification_values(
     They come from the force itself and from each method's own sensor.
     """
     felt = truth.t_s >= truth.zeroed_s
-    t_s = truth.t_s[felt]
-    depth = truth.depth_m[felt]
-    force = truth.axial_N[felt]
-    reference = liver_reference(insertion, depth, force)
+    course = truth.t_s[felt], truth.depth_m[felt]
+    force_N = truth.axial_N[felt]
+    reference = liver_reference(insertion, course[1], force_N)
     for method in IDENTIFIERS:
-        ft = liver_estimates(t_s, depth, force, method, reference)
-        virtual = liver_estimates(t_s, depth, forces_N[method][felt], method, reference)
-        for source, item in (("ft", ft), ("virtual", virtual)):
-            values = dict(friction_values([item])) | dict(rupture_values([item]))
-            del values[OF_MANY]
+        sources = {"ft": force_N, "virtual": forces_N[method][felt]}
+        for source, felt_N in sources.items():
+            item = liver_estimates(*course, felt_N, method, reference)
+            values = friction_values([item]) | rupture_values([item])
+            del values["pullout_error_p90_pct"]  # of one insertion there is none
             yield from make_figures(values, source, method)
 
 
@@ -167,15 +163,12 @@ def run_with_liver(job: Job) -> Iterator[Figure]:
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
     signals = replace(panda.signals, tau_Nm=loaded)
-    readings = []
     forces_N = {}
     for method, config in METHODS.items():
         real = replace(config, friction=panda.friction)
         session = run_session(panda.robot, signals, method, TARE_s, sensor=real)
-        readings.append(session.reading)
         forces_N[method] = session.unsmoothed_N
-    for reading in readings:
-        for item in wrench_metrics(reading, truth):
+        for item in wrench_metrics(session.reading, truth):
             # The force changes less than this arm's noise: its lag would be a guess.
             if item.metric != "wrench_lag_ms":
                 yield item

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
-from benchmarks.insertion.recorded import add_link
-from benchmarks.insertion.recorded.liver import read_arrays, read_table
+from benchmarks.insertion.recorded import add_link, read_arrays, read_table
 from benchmarks.insertion.signals import JointSignals, tool_jacobians
 from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
@@ -109,8 +108,10 @@ def run(job: Job) -> list[Figure]:
     residual) is therefore all there is to fit.
     """
     arm = read_ur10e(job.recordings)
-    residual_unloaded = _residual(arm, arm.unloaded)
-    residual_loaded = _residual(arm, arm.loaded)
+    residual_unloaded, residual_loaded = (
+        joint_residual(arm.robot, signals, GAIN_per_s, arm.friction)
+        for signals in (arm.unloaded, arm.loaded)
+    )
     values = _force_up(arm.robot, arm.unloaded, residual_unloaded, "force_up_unloaded")
     values |= _force_up(arm.robot, arm.loaded, residual_loaded, "force_up_loaded")
     # What the model misses at each joint without payload: the weights of the fit.
@@ -126,11 +127,6 @@ def run(job: Job) -> list[Figure]:
     values["torque_scale"] = scale
     values["weight_error_pct"] = 100.0 * (scale * second / payload_kg - 1.0)
     return make_figures(values)
-
-
-def _residual(arm: Ur10e, signals: JointSignals) -> Array:
-    """Return the residual after every sample [Nm], shape (n, j)."""
-    return joint_residual(arm.robot, signals, GAIN_per_s, friction=arm.friction)
 
 
 def _settled(signals: JointSignals) -> NDArray[np.bool_]:

@@ -42,11 +42,11 @@ def test_felt_rupture_is_the_fall_of_each_force():
         friction_N=3.0,
     )
     run = Teleinsertion(
-        t_s=[1e-3 * k for k in range(2000)],
-        tip_N=[1.0] * 1000 + [0.0] * 1000,
-        shown_N=[1.1] * 1000 + [0.1] * 1000,
-        raw_N=[4.0] * 1000 + [3.0] * 1000,
-        alarms_s=[1.05],
+        t_s=1e-3 * np.arange(2000),
+        tip_N=np.repeat((1.0, 0.0), 1000),
+        shown_N=np.repeat((1.1, 0.1), 1000),
+        raw_N=np.repeat((4.0, 3.0), 1000),
+        alarms_s=np.array([1.05]),
         ruptures=(rupture,),
     )
     (felt,) = ruptures_felt(run)

@@ -5,9 +5,9 @@ import pytest
 
 from benchmarks import DataError
 from benchmarks.campaign import run_job
-from benchmarks.insertion.recorded import panda, ur10e
+from benchmarks.insertion.recorded import panda, read_arrays, ur10e
 from benchmarks.insertion.recorded.bovine import depth_metrics
-from benchmarks.insertion.recorded.liver import at_drops, force_drops, read_arrays
+from benchmarks.insertion.recorded.liver import at_drops, force_drops
 from benchmarks.jobs import Job
 
 

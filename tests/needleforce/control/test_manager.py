@@ -4,7 +4,6 @@ logged."""
 import json
 import resource
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -310,10 +309,3 @@ def test_a_stand_in_has_what_a_session_has():
         if name[0] != "_" and name != "reads"
     ]
     assert [name for name in names if not hasattr(InsertionSession(ROBOT), name)] == []
-
-
-def test_the_page_shows_the_table_as_it_is():
-    page = Path(__file__).resolve().parents[3] / "docs" / "reference" / "control.md"
-    rows = [line.strip("| ").split(" | ") for line in page.read_text().splitlines()]
-    for rule in TABLE:
-        assert [rule.event, rule.sources, rule.target, rule.guards or "–"] in rows
