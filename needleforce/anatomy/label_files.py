@@ -1,4 +1,4 @@
-"""Segmentations from files: 3D Slicer's, NIfTI, NRRD, DICOM SEG."""
+"""Segmentations from files: 3D Slicer's, NIfTI, NRRD, MetaImage, DICOM SEG."""
 
 import json
 import re
@@ -37,9 +37,9 @@ def read_labels(
     *,
     situs_inversus: bool = False,
 ) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, NIfTI, NRRD, or DICOM SEG.
+    """Read a segmentation: ``.seg.nrrd``, NIfTI, NRRD, ``.mha``, or DICOM SEG.
 
-    NIfTI and other NRRD files have one label per voxel.
+    Files but those of 3D Slicer and DICOM have one label per voxel.
 
     Args:
         path: The file.
@@ -77,7 +77,7 @@ def _read_structures(place: Path) -> Labels:
 
     if place.is_dir():
         raise VolumeError(
-            "it is a folder: expected one file, .seg.nrrd, .nii.gz, .nrrd or DICOM SEG "
+            "it is a folder: expected one file, .seg.nrrd, .nii.gz, .mha or DICOM SEG "
             "(`TotalSegmentator --ml` writes one)"
         )
     if place.is_file() and is_dicom(place):
@@ -85,7 +85,8 @@ def _read_structures(place: Path) -> Labels:
     image = read_image(place)
     volumes = [*_as_labels(image.values).reshape(-1, *image.grid.shape)]
     is_nifti = place.name.endswith((".nii", ".nii.gz"))
-    structures = [] if is_nifti else _slicer_segments(place, len(volumes))
+    is_nrrd = place.suffix in (".nrrd", ".nhdr")
+    structures = _slicer_segments(place, len(volumes)) if is_nrrd else []
     if not structures and len(volumes) == 1:
         names = read_nifti_names(place) if is_nifti else {}
         structures = [

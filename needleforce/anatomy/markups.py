@@ -1,15 +1,18 @@
-"""Points, lines and transforms that 3D Slicer wrote.
+"""Points, lines and transforms as 3D Slicer, ITK and laboratories write them.
 
-``.mrk.json`` files state their frame, LPS or RAS, and their unit; points come out in
-LPS, in metres. Files of ITK (``.h5``, ``.tfm``) hold x_out = A (x_in - c) + t + c in
-LPS and millimetres. 3D Slicer writes into them the inverse of what it shows, and shows
-RAS, in which x and y have the other sign.
+Points come out in LPS, in metres: frame and unit are what the file says, or its user.
+Files of ITK (``.h5``, ``.tfm``, ``.mat``) hold x_out = A (x_in - c) + t + c in LPS and
+millimetres. 3D Slicer writes into them the inverse of what it shows, and shows RAS, in
+which x and y have the other sign.
 """
 
+import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,6 +31,27 @@ SCHEMA = (
 RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
+UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
+"""Metres per unit of length."""
+
+FRAMES = {"LPS": np.ones(3), "RAS": RAS_TO_LPS, "0": RAS_TO_LPS, "1": np.ones(3)}
+"""Factors to LPS by the name of a frame, and by the number in old files."""
+
+MALFORMED = (ValueError, LookupError, AttributeError, TypeError, msgspec.MsgspecError)
+"""What a file that holds something else leads to."""
+
+OTHER_POINTS = (
+    "Save one list of points from 3D Slicer as .mrk.json or .fcsv, or give a .csv with "
+    "the columns name, x_mm, y_mm, z_mm."
+)
+
+
+OTHER_TRANSFORM = (
+    "Save a rigid transform, in millimetres, as .h5, .tfm or .mat, or a matrix of "
+    "4 x 4 numbers as .txt or .json."
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Markup:
     """Named points.
@@ -43,46 +67,152 @@ class Markup:
     is_line: bool = False
 
 
-def read_markup(path: Path | str) -> Markup:
-    """Read the one list of points, or the one line, of a ``.mrk.json`` file.
+class PointList(NamedTuple):
+    """Points as they stand in a file.
+
+    Attributes:
+        names: Of the points; empty where one has none.
+        places: In the file's frame and unit, (n, 3).
+        unit: Of length; empty where the file does not say it.
+        frame: Key of `FRAMES`; empty where the file does not say it.
+        is_line: They are the two ends of a line.
+    """
+
+    names: list[str]
+    places: Array
+    unit: str
+    frame: str
+    is_line: bool = False
+
+
+def read_markup(
+    path: Path | str, unit: str | None = None, frame: str | None = None
+) -> Markup:
+    """Read the one list of points, or the one line, of a file.
+
+    Args:
+        path: ``.mrk.json`` or ``.fcsv`` of 3D Slicer, or a table, see
+            `read_point_table`.
+        unit: Of places in a file that does not say it.
+        frame: LPS or RAS, for a file that does not say it.
 
     Raises:
         VolumeError: Not readable, several lists, no points, a frame or a unit that is
-            not known, or two points of one name.
+            not known or not said, or two points of one name.
     """
-    malformed = (msgspec.MsgspecError, AttributeError, TypeError)
+    is_json = Path(path).suffix.lower() == ".json"
+    points = _read_slicer_json(path) if is_json else read_point_table(path)
+    named = points.frame or (frame or "not said").upper()
+    if named not in FRAMES:
+        raise VolumeError(
+            f"{path}: the frame is {named}: expected LPS or RAS, in the "
+            "file or by `--frame`",
+            OTHER_POINTS,
+        )
+    scale_m = metres_per(points.unit or unit, path)
+    points_m = scale_m * FRAMES[named] * points.places
+    names = tuple(name or str(n) for n, name in enumerate(points.names, 1))
+    if not names or len({*names}) < len(names) or not np.isfinite(points_m).all():
+        raise VolumeError(
+            f"{path} holds the points {', '.join(names) or 'none'}: expected placed, "
+            "finite ones with a name each",
+            OTHER_POINTS,
+        )
+    return Markup(names, points_m, points.is_line)
+
+
+def metres_per(unit: str | None, path: Path | str) -> float:
+    """Return the metres in a unit of length; refuse one that is not known or said."""
+    if unit not in UNITS_m:
+        raise VolumeError(
+            f"{path}: the unit is {unit or 'not said'}: expected one of "
+            f"{', '.join(UNITS_m)}, in the file (x_mm) or by `--unit`",
+            OTHER_POINTS,
+        )
+    return UNITS_m[unit]
+
+
+def _read_slicer_json(path: Path | str) -> PointList:
+    """Read the one list of points, or the one line, of a ``.mrk.json`` file."""
     # States of control points that have no place.
     unplaced = ("undefined", "missing", "preview")
-    # Metres per unit of length.
-    units_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
-    # Factors to LPS by the name of a frame, and by the number in old files.
-    frames = {"LPS": np.ones(3), "0": RAS_TO_LPS, "1": np.ones(3), "RAS": RAS_TO_LPS}
     try:
         content = msgspec.json.decode(Path(path).read_bytes(), type=dict[str, Any])
         (markup,) = content["markups"]
-        factors = frames[str(markup.get("coordinateSystem", "RAS"))]
-        scale_m = units_m[markup.get("coordinateUnits", "mm")]
         placed = [
             point
             for point in markup["controlPoints"]
             if point.get("position") is not None
             and point.get("positionStatus", "defined") not in unplaced
         ]
-        names = tuple(str(one.get("label") or n) for n, one in enumerate(placed, 1))
-        positions = np.array([one["position"] for one in placed], dtype=float)
-        points_m = scale_m * factors * positions.reshape(len(placed), 3)
-    except (OSError, LookupError, ValueError, *malformed) as error:
-        raise VolumeError(
-            f"cannot read {path}: {error!r}; expected one list of points, or one line, "
-            f"in LPS or RAS and one of {', '.join(units_m)}, that 3D Slicer saved as "
-            ".mrk.json"
-        ) from error
-    if not placed or len({*names}) < len(names) or not np.isfinite(points_m).all():
-        raise VolumeError(
-            f"{path} holds the points {', '.join(names) or 'none'}: expected placed, "
-            "finite ones with a name each"
+        places = np.array([one["position"] for one in placed], dtype=float)
+        return PointList(
+            names=[str(one.get("label") or "") for one in placed],
+            places=places.reshape(len(placed), 3),
+            unit=str(markup.get("coordinateUnits", "mm")),
+            frame=str(markup.get("coordinateSystem", "RAS")),
+            is_line=markup.get("type") == "Line",
         )
-    return Markup(names, points_m, markup.get("type") == "Line")
+    except (OSError, *MALFORMED) as error:
+        raise VolumeError(
+            f"cannot read {path}: {error!r}; expected one list of points, or one line",
+            OTHER_POINTS,
+        ) from error
+
+
+def read_point_table(path: Path | str) -> PointList:
+    """Read points from a table with a header, or from a ``.fcsv`` file of 3D Slicer.
+
+    Columns are x, y and z, and a name or label. Their headers state unit and frame
+    beside the letter (``x_mm``, ``X [m]``, ``x_lps_mm``); so do lines in front of them
+    (``# unit = mm``, ``# CoordinateSystem = LPS``). Between fields stands a comma, a
+    semicolon or a tab; beside the last two numbers may have decimal commas.
+
+    Raises:
+        VolumeError: Not readable, or no such table.
+    """
+    is_slicers = Path(path).suffix.lower() == ".fcsv"
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        said = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
+        lines = re.findall(r"(?m)^(?!#|[ \t]*$).+$", text)
+        if "columns" in said:
+            lines.insert(0, said["columns"])
+        separator = next(mark for mark in ";\t," if mark in lines[0])
+        table = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
+        words = {
+            header: {*re.split(r"[\W_]+", header.lower())}
+            for header in table.fieldnames or ()
+        }
+        axes = [[one for one in words if axis in words[one]] for axis in "xyz"]
+        ((x,), (y,), (z,)) = axes
+        names = [one for one in words if words[one] & {"name", "label"}]
+        rows = [*table]
+        # Decimal commas between commas. 3D Slicer writes more fields than it names.
+        if any(None in row for row in rows) and not is_slicers:
+            raise ValueError("rows have more fields than the header")
+        beside = words[x] | words[y] | words[z]
+        units = [unit for unit in UNITS_m if unit in beside]
+        frames = [frame for frame in FRAMES if frame.lower() in beside]
+        if len(units) > 1 or len(frames) > 1:
+            raise ValueError(f"x, y and z are in {', '.join(units + frames)}")
+        places = [
+            [float(row[one].replace(",", ".")) for one in (x, y, z)] for row in rows
+        ]
+    except (OSError, StopIteration, *MALFORMED) as error:
+        raise VolumeError(
+            f"cannot read {path}: {error!r}; expected a table with a header and the "
+            "columns name, x_mm, y_mm, z_mm",
+            OTHER_POINTS,
+        ) from error
+    unit = said.get("unit", "mm" if is_slicers else "")
+    frame = said.get("CoordinateSystem", "").upper()
+    return PointList(
+        names=[(row[names[0]] or "").strip() if names else "" for row in rows],
+        places=np.array(places).reshape(len(rows), 3),
+        unit=units[0] if units else unit,
+        frame=frames[0] if frames else frame,
+    )
 
 
 def write_markup(
@@ -123,14 +253,19 @@ TransformSource = Literal["slicer", "itk"]
 """Who wrote a transform, and so which way round it is."""
 
 
-def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
-    """Read the motion from the CT (LPS) to the robot's base.
+def read_transform(
+    path: Path | str, source: TransformSource, unit: str | None = None
+) -> RigidTransform:
+    """Read the motion from the CT to the robot's base.
 
     Args:
-        path: The file.
+        path: Of ITK (``.h5``, ``.tfm``, ``.mat`` of ANTs), or a matrix of 4 x 4 numbers
+            as text (``.txt``, ``.csv``) or in a JSON file.
         source: ``slicer``: 3D Slicer saved the transform under which the CT lies where
-            the robot sees it, with the robot's x, y, z as R, A, S. ``itk``: its
-            ``TransformPoint`` carries a point of the CT to the robot's base.
+            the robot sees it, with the robot's x, y, z as R, A, S; a matrix is the one
+            that it shows. ``itk``: its ``TransformPoint``, or the matrix, carries a
+            point of the CT (LPS) to the robot's base.
+        unit: Of the shift of a matrix; by default the millimetres of both programs.
 
     Raises:
         VolumeError: Not readable, not linear, stretched, sheared or mirrored, or not in
@@ -138,21 +273,22 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
     """
     max_stretch = 1e-3  # lengths change by no more: files round their numbers
     max_distance_mm = 1e4  # a CT further from the base is not in millimetres
-    import SimpleITK
-
     try:
-        # The HDF5 library prints pages about other files.
-        is_hdf5 = Path(path).read_bytes()[:4] == b"\x89HDF"
-        if is_hdf5 != str(path).endswith((".h5", ".hdf5")):
-            raise OSError("it is not what its name says")
-        transform = SimpleITK.ReadTransform(str(path))
-        shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
-        images_mm = [transform.TransformPoint(axis) for axis in np.eye(3).tolist()]
-    except (OSError, RuntimeError, TypeError) as error:
+        content = Path(path).read_bytes()
+        is_text = Path(path).suffix.lower() in (".txt", ".csv", ".json")
+        is_matrix = is_text and not content.startswith(b"#Insight")
+        if is_matrix:
+            transform = _parse_matrix(content, unit)
+        else:
+            transform = _read_itk_transform(path, content)
+    except (OSError, RuntimeError, *MALFORMED) as error:
         raise VolumeError(
-            f"cannot read {path}: expected a transform of ITK in three dimensions, as "
-            ".h5 or .tfm"
+            f"cannot read {path}: {error}; expected a transform of ITK in three "
+            "dimensions, or 4 rows of 4 numbers, the last 0 0 0 1",
+            OTHER_TRANSFORM,
         ) from error
+    shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
+    images_mm = [transform.TransformPoint(axis) for axis in np.eye(3).tolist()]
     left, stretches, right = np.linalg.svd((np.array(images_mm) - shift_mm).T)
     rotation = left @ right
     is_rigid = transform.IsLinear() and np.linalg.det(rotation) > 0.0
@@ -162,9 +298,56 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
             f"{path} is a {transform.GetName()} that stretches by "
             f"{stretches.min():.4g} to {stretches.max():.4g} and carries the CT by "
             f"{shift_mm.tolist()} mm: expected a rigid motion in millimetres, and no "
-            "mirror image"
+            "mirror image",
+            OTHER_TRANSFORM,
         )
-    if source == "slicer":
+    if source == "slicer" and is_matrix:
+        rotation = rotation * RAS_TO_LPS
+    elif source == "slicer":
         rotation = RAS_TO_LPS[:, None] * rotation.T
         shift_mm = -rotation @ shift_mm
     return RigidTransform(rotation, 1e-3 * shift_mm)
+
+
+def _read_itk_transform(path: Path | str, content: bytes) -> Any:
+    """Read a transform of `SimpleITK` in three dimensions."""
+    import SimpleITK
+
+    # The HDF5 library prints pages about other files.
+    if content.startswith(b"\x89HDF") != str(path).endswith((".h5", ".hdf5")):
+        raise ValueError("it is not what its name says")
+    transform = SimpleITK.ReadTransform(str(path))
+    if transform.GetDimension() != 3:
+        raise ValueError(f"it has {transform.GetDimension()} dimensions")
+    return transform
+
+
+def _parse_matrix(content: bytes, unit: str | None) -> Any:
+    """Return a matrix of 4 x 4 numbers as a transform of `SimpleITK`, in millimetres.
+
+    Args:
+        content: Text; or JSON: the matrix, or an object with nothing else in it.
+        unit: Of the shift. If it is not said, millimetres; a shift so small that it
+            could be in metres is refused.
+    """
+    import SimpleITK
+
+    min_shift_mm = 10.0
+    text = content.decode("utf-8-sig").strip()
+    if text.startswith(("{", "[")):
+        rows = msgspec.json.decode(text)
+        (rows,) = rows.values() if isinstance(rows, dict) else (rows,)
+    else:
+        rows = np.loadtxt(StringIO(text.replace(",", " ")))
+    matrix = np.array(rows, dtype=float)
+    is_motion = np.array_equal(matrix[3:], [[0.0, 0.0, 0.0, 1.0]])
+    if matrix.shape != (4, 4) or not is_motion or not np.isfinite(matrix).all():
+        raise ValueError(f"{matrix.tolist()}")
+    if unit is None and np.linalg.norm(matrix[:3, 3]) < min_shift_mm:
+        raise ValueError(
+            f"a shift of {matrix[:3, 3].tolist()}, metres or millimetres: `--unit` "
+            "says it"
+        )
+    shift_mm = 1e3 * UNITS_m[unit or "mm"] * matrix[:3, 3]
+    turn = matrix[:3, :3].ravel().tolist()
+    return SimpleITK.AffineTransform(turn, shift_mm.tolist())

@@ -1,4 +1,4 @@
-"""Scans from files: a folder with one DICOM series, NIfTI, or NRRD.
+"""Scans from files: a folder with one DICOM series, NIfTI, NRRD, or MetaImage.
 
 nibabel reads NIfTI and SimpleITK the others. What they would take in spite of doubt
 where it lies is refused: an invented place, two places that differ, slices missing.
@@ -24,7 +24,7 @@ M_PER_MM = 1e-3
 
 
 def read_volume(path: Path | str) -> Volume:
-    """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
+    """Read a scan: a folder with one DICOM series, or a file: NIfTI, NRRD, ``.mha``.
 
     Args:
         path: The file or folder.
@@ -58,12 +58,12 @@ def read_image(path: Path) -> Volume:
     max_diagonal_m = 5.0  # nor is a larger one
     if path.name.endswith((".nii", ".nii.gz")):
         image = _read_nifti(path)
-    elif path.is_dir() or path.suffix in (".nrrd", ".nhdr"):
+    elif path.is_dir() or path.suffix in (".nrrd", ".nhdr", ".mha", ".mhd"):
         image = _read_with_itk(path)
     else:
         raise VolumeError(
-            f"{path}: expected .nii, .nii.gz, .nrrd, .seg.nrrd, or the folder of a "
-            "DICOM series with one slice per file"
+            f"{path}: expected .nii, .nii.gz, .nrrd, .seg.nrrd, .mha, or the folder of "
+            "a DICOM series with one slice per file"
         )
     diagonal_m = float(np.linalg.norm(np.ptp(image.grid.corners_m(), axis=0)))
     is_volume = min(image.grid.shape) >= 2 and image.values.dtype.kind in "iuf"
@@ -161,13 +161,13 @@ def read_nifti_names(path: Path) -> dict[int, str]:
 
 
 def _read_with_itk(path: Path) -> Volume:
-    """Read an NRRD file, or the series in a folder, with SimpleITK."""
+    """Read an NRRD file, a MetaImage, or the series in a folder, with SimpleITK."""
     import SimpleITK
 
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused
     language = locale.setlocale(locale.LC_CTYPE)
     try:
-        files = _series_files(path) if path.is_dir() else _placed_nrrd(path)
+        files = _series_files(path) if path.is_dir() else _placed_file(path)
         image = SimpleITK.ReadImage(files)
     except (RuntimeError, OSError) as error:
         reason = str(error).strip().splitlines()[-1]
@@ -180,20 +180,28 @@ def _read_with_itk(path: Path) -> Volume:
     return Volume(SimpleITK.GetArrayFromImage(image).T, grid)
 
 
-def _placed_nrrd(path: Path) -> str:
-    """Return the name of an NRRD file that says in millimetres how it lies."""
+def _placed_file(path: Path) -> str:
+    """Return the name of a file whose header says in millimetres how it lies."""
     sides = ("left-posterior", "right-anterior", "left-anterior")
     spaces = ("lps", "ras", "las", *(f"{side}-superior" for side in sides))
-    header = re.split(rb"\r?\n\r?\n", path.read_bytes(), maxsplit=1)[0]
-    pattern = r"(?m)^([^:\n]+): (.*?)\r?$"
+    # What ITK would invent where it is missing; its MetaImage files are in LPS.
+    needed = {"offset", "transformmatrix", "elementspacing"}
+    end_of_header = rb"\r?\n\r?\n|(?<=\nElementDataFile = )"
+    header = re.split(end_of_header, path.read_bytes(), maxsplit=1)[0]
+    pattern = r"(?m)^([^:=\n]+?)(?:: | = )(.*?)\r?$"
     fields = dict(re.findall(pattern, header.decode("latin-1").lower()))
-    units = {*re.findall(r'[^"\s]+', fields.get("space units", "mm"))}
-    is_placed = fields.get("space") in spaces and "space directions" in fields
+    unit = fields.get("space units", fields.get("distanceunits", "mm"))
+    units = {*re.findall(r'[^"\s]+', unit)}
+    if path.suffix in (".mha", ".mhd"):
+        is_placed = needed <= fields.keys()
+    else:
+        is_placed = fields.get("space") in spaces and "space directions" in fields
     if not is_placed or units - {"mm", "millimeter", "millimetre"}:
         raise VolumeError(
             f"{path} has the space {fields.get('space')!r}, its `space directions` are "
             f"{fields.get('space directions', 'missing')}, its units "
-            f"{', '.join(units)}: expected left-posterior-superior, RAS or LAS, mm"
+            f"{', '.join(units)}: expected left-posterior-superior, RAS or LAS, mm; of "
+            f"a MetaImage {', '.join(needed)}"
         )
     return str(path)
 

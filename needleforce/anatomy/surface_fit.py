@@ -51,8 +51,8 @@ def fit_surface(
         surface: Of the model.
         touches_m: Places of the pointer's tip on it [m], robot's base, in the order of
             touching, shape (n, 3).
-        start: By landmarks, within some 20 mm and 20 degrees. It counts by its
-            covariance: one of metres and radians says nothing.
+        start: By landmarks, within 20 mm, at the touches, and 20 degrees. It counts by
+            its covariance: one of metres and radians says nothing.
         touch_std_m: Standard deviation of a touch along each axis.
         softness_m: By up to so much touches press the surface in: 0 for bone, 3 mm for
             skin. How far they do is estimated.
@@ -63,8 +63,9 @@ def fit_surface(
         RegistrationError: Too few or narrow touches, millimetres for metres, a
             deviation that is none; too many touches off the surface, or the middle one
             further than noise; a surface along which the solution slides or spins;
-            another solution that fits as well or better; a patient who moved between
-            landmarks and touches, or while he was touched.
+            another solution that fits as well or better, or one half as far again from
+            the start as that may be; a patient who moved between landmarks and
+            touches, or while he was touched.
     """
     touches = _checked_touches(surface, touches_m, touch_std_m)
     if not 0.0 <= softness_m < 0.02:
@@ -90,6 +91,7 @@ def fit_surface(
         )
     if check:
         _require_one_solution(problem, fit)
+    _require_near_start(problem, fit)
     return _registration(problem, fit, start.degrees, check=check)
 
 
@@ -117,6 +119,24 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
             f"{extent_m:.3g} m: millimetres for metres, or near a point or a line"
         )
     return touches
+
+
+def _require_near_start(problem: Problem, fit: Fit) -> None:
+    """Refuse a solution so far from the start that it may be another one's.
+
+    An organ that is nearly symmetric fits as well half a turn off.
+    """
+    max_turn_deg = 30.0  # the promise, and half as much
+    max_shift_m = 30e-3  # likewise
+    turn_rad, shift_m = np.split(problem.off_known(fit.pose)[:6], 2)
+    turn_deg = float(np.degrees(np.linalg.norm(turn_rad)))
+    if turn_deg > max_turn_deg or np.linalg.norm(shift_m) > max_shift_m:
+        raise RegistrationError(
+            f"the solution is turned by {turn_deg:.0f} degrees and shifted by "
+            f"{1e3 * np.linalg.norm(shift_m):.0f} mm from the start: expected "
+            f"{max_turn_deg:g} and {1e3 * max_shift_m:g} at most",
+            "Register by landmarks again.",
+        )
 
 
 def _require_one_solution(problem: Problem, fit: Fit) -> None:
