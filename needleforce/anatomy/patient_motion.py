@@ -6,11 +6,9 @@ they fit so, against how much they could by chance, is how probable the motion i
 a region that should hold him also where he moved unnoticed is as wide as that takes.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from foundation.arrays import Array
@@ -19,10 +17,8 @@ from needleforce.anatomy.registration import displacement_jacobian
 from needleforce.anatomy.touch_problem import (
     TUKEY,
     Fit,
-    Measured,
     Pose,
     Problem,
-    SURFACE_STD_m,
     tukey_weights,
 )
 
@@ -121,20 +117,24 @@ def _fit_motions(
     count = len(problem.touches_m)
     starts = np.append(firsts, count)
     is_moved = np.arange(count) >= starts[:, None]
-    poses = [fit.pose] * len(starts)
+    numbers = np.arange(len(starts))[:, None]
+    poses = Pose(*(np.array([part] * len(starts)) for part in fit.pose))
     motions = np.zeros((len(starts), 6))
     prior = np.asarray(block_diag(problem.information, motion_information), float)
     number = 0
     while True:
-        is_fine = number > rounds - fine_rounds
-        touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
+        moved = problem.move(poses, np.pad(motions, ((0, 0), (0, 1))))
+        # Before or after the motion, by the touch.
+        pairs = [np.stack(pair, axis=1) for pair in zip(poses, moved, strict=True)]
+        at_touch = Pose(*(pair[numbers, is_moved.astype(int)] for pair in pairs))
+        touches = problem.measure(at_touch, is_fine=number > rounds - fine_rounds)
         rows = np.dstack([touches.rows, touches.rows[..., :6] * is_moved[..., None]])
         reach_m = max(TUKEY * problem.noise_m, far_m * 0.6**number)
         weights = tukey_weights(touches.lengths_m, reach_m)
         variance_m2 = _least_variance_m2(problem, touches.distances_m, weights, fit)
         weighted = weights[..., None] * rows / variance_m2
         hessians = np.einsum("bni,bnj->bij", rows, weighted) + prior
-        off = np.hstack([[problem.off_known(pose) for pose in poses], motions])
+        off = np.hstack([problem.off_known(poses), motions])
         # A touch is off as usual or, anywhere, slipped: it counts in full up to where
         # the latter is as probable, at three standard deviations, and no further.
         usual = np.logaddexp(-0.5 * touches.lengths_m**2 / variance_m2, -4.5)
@@ -145,18 +145,17 @@ def _fit_motions(
         # Radians beside metres.
         scales = np.sqrt(np.einsum("bii->bi", hessians))
         scaled = hessians / (scales[:, :, None] * scales[:, None, :])
-        steps = (
-            -np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0] / scales
-        )
+        solved = np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0]
+        steps = -solved / scales
         motions = motions + steps[:, 7:]
-        poses = [*map(problem.move, poses, steps[:, :7])]
+        poses = problem.move(poses, steps[:, :7])
         number += 1
         if number == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
-            for k in np.flatnonzero(misfits > misfits[-1]):
-                motions[k] = 0.0
-                poses[k] = poses[-1]
+            is_lost = misfits > misfits[-1]
+            for part in (motions, *poses):
+                part[is_lost] = part[-1]
     gains = np.maximum(misfits[-1] - misfits, 0.0)[:-1]
     mixed = hessians[:-1, :7, 7:]
     follow = -np.linalg.solve(hessians[:-1, :7, :7], mixed)
@@ -171,41 +170,14 @@ def _fit_motions(
     return [information - motion_information, pull, follow]
 
 
-def _measure(
-    problem: Problem,
-    poses: Sequence[Pose],
-    motions: Array,
-    is_moved: NDArray[np.bool_],
-    *,
-    is_fine: bool,
-) -> Measured:
-    """Return the touches beside the surface in each of some fits with a motion.
-
-    Args:
-        problem: Landmarks and touches.
-        poses: Where the model lies before the motion in each fit.
-        motions: A turn about the touches' mean and a shift, (b, 6).
-        is_moved: Which touches lie behind it, (b, n).
-        is_fine: Average normals around each place.
-    """
-    moved = [*map(problem.move, poses, np.pad(motions, ((0, 0), (0, 1))))]
-    before, after = (
-        [np.array(part)[:, None] for part in zip(*fits, strict=True)]
-        for fits in (poses, moved)
-    )
-    rotation = np.where(is_moved[..., None, None], after[0], before[0])
-    place_m = np.where(is_moved[..., None], after[1], before[1])
-    return problem.measure(rotation, place_m, before[2], is_fine=is_fine)
-
-
 def _least_variance_m2(
     problem: Problem, distances_m: Array, weights: Array, fit: Fit
 ) -> float:
     """Return the variance of the distances where a motion makes it the least."""
     stated = 8.0  # distances for which the stated deviations count
-    stated_m2 = problem.touch_std_m**2 + problem.spread_m2(fit.pose) + SURFACE_STD_m**2
     totals = np.maximum(weights.sum(axis=1), 1e-9)
     observed_m2 = (weights * distances_m**2).sum(axis=1) / totals
     degrees = np.maximum((weights > 0.0).sum(axis=1) - 13.0, 0.0)
+    stated_m2 = problem.stated_m2(fit.pose)
     variances_m2 = (stated * stated_m2 + degrees * observed_m2) / (stated + degrees)
     return float(variances_m2.min())

@@ -224,6 +224,6 @@ def _registration(
         pivot_m=problem.pivot_m,
         degrees=float(1.0 / squares.sum()),
         residual_rms_m=float(np.sqrt(np.mean(touches.distances_m[is_counted] ** 2))),
-        indentation_m=pose.indentation_m,
+        indentation_m=float(pose.indentation_m),
         indentation_std_m=float(np.sqrt(covariance[6, 6])),
     )

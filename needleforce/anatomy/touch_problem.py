@@ -45,17 +45,17 @@ NEARLY_STILL_m = 2e-5
 
 
 class Pose(NamedTuple):
-    """Where the model lies, and how far the surface is pressed in.
+    """Where the model lies, and how far the surface is pressed in; one or many.
 
     Attributes:
-        rotation: From the model to the robot's base, (3, 3).
-        translation_m: Of the model's origin, (3,).
-        indentation_m: Of the surface by the touches.
+        rotation: From the model to the robot's base, (..., 3, 3).
+        translation_m: Of the model's origin, (..., 3).
+        indentation_m: Of the surface by the touches, (...).
     """
 
     rotation: Array
     translation_m: Array
-    indentation_m: float
+    indentation_m: Array
 
 
 class Measured(NamedTuple):
@@ -169,23 +169,15 @@ class Problem:
                 break
         return fit
 
-    def measure(
-        self,
-        rotation: Array,
-        place_m: Array,
-        indentation_m: Array | float,
-        *,
-        is_fine: bool,
-    ) -> Measured:
-        """Return the touches beside the surface, for one pose or for many.
+    def measure(self, pose: Pose, *, is_fine: bool) -> Measured:
+        """Return the touches beside the surface.
 
         Args:
-            rotation: From the model to the base, of each touch or of all, (..., 3, 3).
-            place_m: Of the model's origin, likewise, (..., 3).
-            indentation_m: Of the surface, likewise, (...).
+            pose: One for all touches, or one for each of them, also many times.
             is_fine: Average normals around each place, so far that they hold hardly any
                 error of the surface.
         """
+        rotation, place_m, indentation_m = pose
         levers_m = (self.touches_m - place_m)[..., None, :]
         points_m = (levers_m @ rotation)[..., 0, :]
         flat_m = points_m.reshape(-1, 3)
@@ -220,56 +212,72 @@ class Problem:
         """
         normal_mad = 1.4826  # standard deviation over median absolute deviation
         stated = 4.0  # distances for which the stated deviations count
-        touches = self.measure(*pose, is_fine=not is_wide)
+        touches = self.measure(pose, is_fine=not is_wide)
         median_m = float(np.median(touches.lengths_m))
         scale_m = max(is_wide * normal_mad * median_m, self.noise_m)
         weights = tukey_weights(touches.lengths_m, TUKEY * scale_m)
-        surface_m2 = SURFACE_STD_m**2 * np.average(edge_factors(touches) ** 2)
-        stated_m2 = self.touch_std_m**2 + self.spread_m2(pose) + surface_m2
+        edges = np.average(edge_factors(touches) ** 2)
         counted = float(np.count_nonzero(weights))
         degrees = max(counted - 7.0, 0.0)
         observed_m2 = weights @ touches.distances_m**2 / max(weights.sum(), 1e-300)
         observed_m2 *= counted / max(degrees, 1.0)
+        stated_m2 = self.stated_m2(pose, edges)
         variance_m2 = (stated * stated_m2 + degrees * observed_m2) / (stated + degrees)
         return Fit(pose, touches, weights, float(variance_m2), median_m)
 
+    def stated_m2(self, pose: Pose, edges: float = 1.0) -> float:
+        """Return the variance of the distances that the stated deviations make.
+
+        Args:
+            pose: How far the surface is pressed in.
+            edges: Mean square of `edge_factors`.
+        """
+        surface_m2 = SURFACE_STD_m**2 * edges
+        return float(self.touch_std_m**2 + self.spread_m2(pose) + surface_m2)
+
     def spread_m2(self, pose: Pose) -> float:
         """Return the variance of how far single touches press the surface in."""
-        return (SPREAD_OF_SOFTNESS * pose.indentation_m) ** 2
+        return float((SPREAD_OF_SOFTNESS * pose.indentation_m) ** 2)
 
     def off_known(self, pose: Pose) -> Array:
-        """Return how far a pose lies from what is known without the touches, (7,)."""
+        """Return how far poses lie from what is known without the touches, (..., 7)."""
         known = self.known
         turn = Rotation.from_matrix(pose.rotation @ known.rotation.T).as_rotvec()
         pivot_in_model_m = (self.pivot_m - known.translation_m) @ known.rotation
         shift_m = pose.rotation @ pivot_in_model_m + pose.translation_m - self.pivot_m
-        return np.array([*turn, *shift_m, pose.indentation_m - known.indentation_m])
+        pressed_m = (pose.indentation_m - known.indentation_m)[..., None]
+        return np.concatenate([turn, shift_m, pressed_m], axis=-1)
 
     def _step(self, fit: Fit, number: int) -> Array:
         """Return a step of Gauss and Newton, (7,)."""
         # What nothing holds is held by a little of what the touches do, so that a
         # sphere has a solution too.
         small_hold = 1e-6
+        # Later steps are shorter: from facet to facet they would go back and forth.
+        full_steps = 8.0
         rotations, shifts = np.split(np.diag(fit.information)[:6], 2)
         hold = np.repeat([rotations.sum(), shifts.sum(), 0.0], [3, 3, 1])
         information = fit.information + self.information + small_hold * np.diag(hold)
         pull = fit.touches.rows.T @ (fit.weights * fit.touches.distances_m)
         known_pull = self.information @ self.off_known(fit.pose)
         gradient = pull / fit.variance_m2 + known_pull
-        # Later steps are shorter: from facet to facet they would go back and forth.
-        full_steps = 8.0
-        scale = np.sqrt(np.diag(information))  # radians beside metres
+        scale = np.sqrt(np.diag(information))
         scaled = np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale)
         return np.asarray(-scaled[0] / scale * min(1.0, full_steps / number))
 
     def move(self, pose: Pose, step: Array) -> Pose:
-        """Return a pose turned about the touches' mean, shifted and pressed in."""
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        offset_m = pose.translation_m - self.pivot_m
+        """Return poses turned about the touches' mean, shifted and pressed in.
+
+        Args:
+            pose: One or many.
+            step: A turn, a shift, and what the surface is pressed in further, (..., 7).
+        """
+        turn = Rotation.from_rotvec(step[..., :3]).as_matrix()
+        offset_m = (pose.translation_m - self.pivot_m)[..., None]
         return Pose(
             turn @ pose.rotation,
-            turn @ offset_m + self.pivot_m + step[3:6],
-            pose.indentation_m + float(step[6]),
+            (turn @ offset_m)[..., 0] + self.pivot_m + step[..., 3:6],
+            pose.indentation_m + step[..., 6],
         )
 
     def other_starts(self, pose: Pose) -> list[Pose]:
@@ -315,7 +323,7 @@ def state_problem(
         information[:6, :6] = to_start.T @ landmarks @ to_start
     # Half of the softness, plus or minus a third: none and all of it are possible.
     information[6, 6] = 1.0 / max(softness_m / 3.0, 1e-6) ** 2
-    pose = Pose(start.rotation, start.translation_m, 0.5 * softness_m)
+    pose = Pose(start.rotation, start.translation_m, np.array(0.5 * softness_m))
     return Problem(
         surface, touches_m, pivot_m, pose, information, touch_std_m, softness_m
     )
