@@ -20,6 +20,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.registration import RigidTransform
+from needleforce.anatomy.volume import RAS_TO_LPS
 from needleforce.files import whole_file
 
 SCHEMA = (
@@ -27,8 +28,6 @@ SCHEMA = (
     "Markups/Resources/Schema/markups-schema-v1.0.3.json#"
 )
 """What Slicer writes at the head of its own files."""
-
-RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
 UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}

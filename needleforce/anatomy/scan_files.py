@@ -17,8 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from needleforce.anatomy.errors import VolumeError
-from needleforce.anatomy.markups import RAS_TO_LPS
-from needleforce.anatomy.volume import Grid, Volume
+from needleforce.anatomy.volume import RAS_TO_LPS, Grid, Volume
 
 M_PER_MM = 1e-3
 

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 
+RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
+"""Factors of x, y and z from the frame of NIfTI and of what 3D Slicer shows."""
+
 
 @dataclass(frozen=True, eq=False)
 class Grid:

@@ -10,14 +10,15 @@ from scipy.special import fdtri
 from foundation.arrays import Array
 from needleforce import anatomy
 from needleforce.anatomy import PlanError, Registration, RegistrationError, Surface
-from needleforce.anatomy.landmarks import (
+from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy.registration import (
+    MAX_DEGREES,
     MIN_VERIFIED,
     LandmarkResidual,
     judge_landmarks,
 )
-from needleforce.anatomy.markups import RAS_TO_LPS, read_markup
-from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
+from needleforce.anatomy.volume import RAS_TO_LPS
 from needleforce.cli.options import PointOptions, RegistrationOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import (

@@ -18,7 +18,7 @@ from needleforce.anatomy import (
     fit_surface,
     require_lps,
 )
-from needleforce.anatomy.landmarks import judge_landmarks
+from needleforce.anatomy.registration import judge_landmarks
 from tests.needleforce.anatomy.made_files import refused_if
 
 FRONT_m = 1e-3 * np.array(
