@@ -22,7 +22,7 @@ from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from needleforce.anatomy.errors import OTHER_PATH, PlanError, VolumeError
 from needleforce.anatomy.registration import Registration
-from needleforce.anatomy.structures import Segmentation, Structure
+from needleforce.anatomy.volume import Segmentation, Structure
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""

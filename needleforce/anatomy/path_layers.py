@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
-from needleforce.anatomy.structures import Segmentation, Structure
+from needleforce.anatomy.volume import Segmentation, Structure
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""

@@ -26,7 +26,7 @@ from needleforce.anatomy.errors import (
     require_deviation,
 )
 from needleforce.anatomy.path_layers import UNLABELLED, Layer
-from needleforce.anatomy.structures import words_of
+from needleforce.anatomy.volume import words_of
 
 GRID_m = 0.1e-3
 """Distance of the offsets on their grid: that of the ruptures' own deviation."""

@@ -26,9 +26,8 @@ from scipy.special import chdtrc, chdtri, fdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import RegistrationError, require_deviation
-from needleforce.anatomy.structures import words_of
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.volume import RAS_TO_LPS
+from needleforce.anatomy.volume import RAS_TO_LPS, words_of
 
 MIN_WIDTH_m = 5e-3
 """Root mean square distance of points from a line below which they count as

@@ -12,7 +12,7 @@ import msgspec
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.anatomy.markups import metres_per, read_point_table
-from needleforce.anatomy.structures import is_known
+from needleforce.anatomy.volume import is_known
 from needleforce.cli.terminal import (
     OTHER_PLACE,
     CommandError,
