@@ -8,7 +8,7 @@ which x and y have the other sign.
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -90,8 +90,7 @@ def read_markup(
     """Read the one list of points, or the one line, of a file.
 
     Args:
-        path: ``.mrk.json`` or ``.fcsv`` of 3D Slicer, or a table, see
-            `read_point_table`.
+        path: See `read_points`.
         unit: Of places in a file that does not say it.
         frame: LPS or RAS, for a file that does not say it.
 
@@ -99,17 +98,10 @@ def read_markup(
         VolumeError: Not readable, several lists, no points, a frame or a unit that is
             not known or not said, or two points of one name.
     """
-    is_json = Path(path).suffix.lower() == ".json"
-    points = _read_slicer_json(path) if is_json else read_point_table(path)
-    named = points.frame or (frame or "not said").upper()
-    if named not in FRAMES:
-        raise VolumeError(
-            f"{path}: the frame is {named}: expected LPS or RAS, in the "
-            "file or by `--frame`",
-            OTHER_POINTS,
-        )
-    scale_m = metres_per(points.unit or unit, path)
-    points_m = scale_m * FRAMES[named] * points.places
+    points = read_points(path)
+    to_lps = said(FRAMES, points.frame or (frame or "").upper(), "--frame", path)
+    scale_m = said(UNITS_m, points.unit or unit, "--unit", path)
+    points_m = scale_m * to_lps * points.places
     names = tuple(name or str(n) for n, name in enumerate(points.names, 1))
     if not names or len({*names}) < len(names) or not np.isfinite(points_m).all():
         raise VolumeError(
@@ -120,97 +112,113 @@ def read_markup(
     return Markup(names, points_m, points.is_line)
 
 
-def metres_per(unit: str | None, path: Path | str) -> float:
-    """Return the metres in a unit of length; refuse one that is not known or said."""
-    if unit not in UNITS_m:
-        raise VolumeError(
-            f"{path}: the unit is {unit or 'not said'}: expected one of "
-            f"{', '.join(UNITS_m)}, in the file (x_mm) or by `--unit`",
-            OTHER_POINTS,
-        )
-    return UNITS_m[unit]
+def said(
+    known: Mapping[str, Any], name: str | None, option: str, path: Path | str
+) -> Any:
+    """Return what a name of a unit or a frame means.
 
-
-def _read_slicer_json(path: Path | str) -> PointList:
-    """Read the one list of points, or the one line, of a ``.mrk.json`` file."""
-    # States of control points that have no place.
-    unplaced = ("undefined", "missing", "preview")
-    try:
-        content = msgspec.json.decode(Path(path).read_bytes(), type=dict[str, Any])
-        (markup,) = content["markups"]
-        placed = [
-            point
-            for point in markup["controlPoints"]
-            if point.get("position") is not None
-            and point.get("positionStatus", "defined") not in unplaced
-        ]
-        places = np.array([one["position"] for one in placed], dtype=float)
-        return PointList(
-            names=[str(one.get("label") or "") for one in placed],
-            places=places.reshape(len(placed), 3),
-            unit=str(markup.get("coordinateUnits", "mm")),
-            frame=str(markup.get("coordinateSystem", "RAS")),
-            is_line=markup.get("type") == "Line",
-        )
-    except (OSError, *MALFORMED) as error:
-        raise VolumeError(
-            f"cannot read {path}: {error!r}; expected one list of points, or one line",
-            OTHER_POINTS,
-        ) from error
-
-
-def read_point_table(path: Path | str) -> PointList:
-    """Read points from a table with a header, or from a ``.fcsv`` file of 3D Slicer.
-
-    Columns are x, y and z, and a name or label. Their headers state unit and frame
-    beside the letter (``x_mm``, ``X [m]``, ``x_lps_mm``); so do lines in front of them
-    (``# unit = mm``, ``# CoordinateSystem = LPS``). Between fields stands a comma, a
-    semicolon or a tab; beside the last two numbers may have decimal commas.
+    Args:
+        known: Meanings by their names.
+        name: As the file or its user says it.
+        option: By which the user does.
+        path: The file.
 
     Raises:
-        VolumeError: Not readable, or no such table.
+        VolumeError: Nobody says it, or it is not known.
     """
-    is_slicers = Path(path).suffix.lower() == ".fcsv"
+    if name not in known:
+        raise VolumeError(
+            f"{path}: {name or 'nothing'} is said of frame or unit: expected one of "
+            f"{', '.join(known)}, in the file (x_lps_mm) or by `{option}`",
+            OTHER_POINTS,
+        )
+    return known[name]
+
+
+def read_points(path: Path | str) -> PointList:
+    """Read points as they stand in a file.
+
+    Args:
+        path: ``.mrk.json`` or ``.fcsv`` of 3D Slicer, or a table with a header. Columns
+            are x, y and z, and a name or label. Their headers state unit and frame
+            beside the letter (``x_mm``, ``X [m]``, ``x_lps_mm``); so do lines in front
+            of them (``# unit = mm``, ``# CoordinateSystem = LPS``). Between fields
+            stands a comma, a semicolon or a tab; beside the last two numbers may have
+            decimal commas.
+
+    Raises:
+        VolumeError: Not readable, several lists, or no such table.
+    """
+    kind = Path(path).suffix.lower()
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-        said = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
-        lines = re.findall(r"(?m)^(?!#|[ \t]*$).+$", text)
-        if "columns" in said:
-            lines.insert(0, said["columns"])
-        separator = next(mark for mark in ";\t," if mark in lines[0])
-        table = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
-        words = {
-            header: {*re.split(r"[\W_]+", header.lower())}
-            for header in table.fieldnames or ()
-        }
-        axes = [[one for one in words if axis in words[one]] for axis in "xyz"]
-        ((x,), (y,), (z,)) = axes
-        names = [one for one in words if words[one] & {"name", "label"}]
-        rows = [*table]
-        # Decimal commas between commas. 3D Slicer writes more fields than it names.
-        if any(None in row for row in rows) and not is_slicers:
-            raise ValueError("rows have more fields than the header")
-        beside = words[x] | words[y] | words[z]
-        units = [unit for unit in UNITS_m if unit in beside]
-        frames = [frame for frame in FRAMES if frame.lower() in beside]
-        if len(units) > 1 or len(frames) > 1:
-            raise ValueError(f"x, y and z are in {', '.join(units + frames)}")
-        places = [
-            [float(row[one].replace(",", ".")) for one in (x, y, z)] for row in rows
-        ]
+        content = Path(path).read_bytes()
+        if kind == ".json":
+            return _parse_slicer_json(content)
+        return _parse_table(content.decode("utf-8-sig"), is_slicers=kind == ".fcsv")
     except (OSError, StopIteration, *MALFORMED) as error:
         raise VolumeError(
-            f"cannot read {path}: {error!r}; expected a table with a header and the "
-            "columns name, x_mm, y_mm, z_mm",
+            f"cannot read {path}: {error!r}; expected one list of points, or one line, "
+            "or a table with a header and the columns name, x_mm, y_mm, z_mm",
             OTHER_POINTS,
         ) from error
-    unit = said.get("unit", "mm" if is_slicers else "")
-    frame = said.get("CoordinateSystem", "").upper()
+
+
+def _parse_slicer_json(content: bytes) -> PointList:
+    """Return the one list of points, or the one line, of a ``.mrk.json`` file."""
+    # States of control points that have no place.
+    unplaced = ("undefined", "missing", "preview")
+    (markup,) = msgspec.json.decode(content, type=dict[str, Any])["markups"]
+    placed = [
+        point
+        for point in markup["controlPoints"]
+        if point.get("position") is not None
+        and point.get("positionStatus", "defined") not in unplaced
+    ]
+    places = np.array([one["position"] for one in placed], dtype=float)
+    return PointList(
+        names=[str(one.get("label") or "") for one in placed],
+        places=places.reshape(len(placed), 3),
+        unit=str(markup.get("coordinateUnits", "mm")),
+        frame=str(markup.get("coordinateSystem", "RAS")),
+        is_line=markup.get("type") == "Line",
+    )
+
+
+def _parse_table(text: str, *, is_slicers: bool) -> PointList:
+    """Return the points of a table; see `read_points`.
+
+    Args:
+        text: Of the file.
+        is_slicers: It is a ``.fcsv`` file: in millimetres.
+    """
+    stated = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
+    lines = re.findall(r"(?m)^(?!#|[ \t]*$).+$", text)
+    if "columns" in stated:
+        lines.insert(0, stated["columns"])
+    separator = next(mark for mark in ";\t," if mark in lines[0])
+    table = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
+    words = {
+        header: {*re.split(r"[\W_]+", header.lower())}
+        for header in table.fieldnames or ()
+    }
+    axes = [[one for one in words if axis in words[one]] for axis in "xyz"]
+    ((x,), (y,), (z,)) = axes
+    names = [one for one in words if words[one] & {"name", "label"}]
+    rows = [*table]
+    # Decimal commas between commas. 3D Slicer writes more fields than it names.
+    if any(None in row for row in rows) and not is_slicers:
+        raise ValueError("rows have more fields than the header")
+    beside = words[x] | words[y] | words[z]
+    units = [unit for unit in UNITS_m if unit in beside]
+    frames = [frame for frame in FRAMES if frame.lower() in beside]
+    if len(units) > 1 or len(frames) > 1:
+        raise ValueError(f"x, y and z are in {', '.join(units + frames)}")
+    places = [[float(row[one].replace(",", ".")) for one in (x, y, z)] for row in rows]
     return PointList(
         names=[(row[names[0]] or "").strip() if names else "" for row in rows],
         places=np.array(places).reshape(len(rows), 3),
-        unit=units[0] if units else unit,
-        frame=frames[0] if frames else frame,
+        unit=units[0] if units else stated.get("unit", "mm" if is_slicers else ""),
+        frame=frames[0] if frames else stated.get("CoordinateSystem", "").upper(),
     )
 
 
@@ -276,19 +284,20 @@ def read_transform(
         content = Path(path).read_bytes()
         is_text = Path(path).suffix.lower() in (".txt", ".csv", ".json")
         is_matrix = is_text and not content.startswith(b"#Insight")
-        if is_matrix:
-            transform = _parse_matrix(content, unit)
-        else:
-            transform = _read_itk_transform(path, content)
+        transform = (
+            _parse_matrix(content, unit)
+            if is_matrix
+            else _read_itk_transform(path, content)
+        )
+        shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
+        images_mm = [transform.TransformPoint(axis) for axis in np.eye(3).tolist()]
+        left, stretches, right = np.linalg.svd((np.array(images_mm) - shift_mm).T)
     except (OSError, RuntimeError, *MALFORMED) as error:
         raise VolumeError(
             f"cannot read {path}: {error}; expected a transform of ITK in three "
             "dimensions, or 4 rows of 4 numbers, the last 0 0 0 1",
             OTHER_TRANSFORM,
         ) from error
-    shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
-    images_mm = [transform.TransformPoint(axis) for axis in np.eye(3).tolist()]
-    left, stretches, right = np.linalg.svd((np.array(images_mm) - shift_mm).T)
     rotation = left @ right
     is_rigid = transform.IsLinear() and np.linalg.det(rotation) > 0.0
     is_stretched = np.abs(stretches - 1.0).max() > max_stretch
@@ -339,8 +348,7 @@ def _parse_matrix(content: bytes, unit: str | None) -> Any:
     else:
         rows = np.loadtxt(StringIO(text.replace(",", " ")))
     matrix = np.array(rows, dtype=float)
-    is_motion = np.array_equal(matrix[3:], [[0.0, 0.0, 0.0, 1.0]])
-    if matrix.shape != (4, 4) or not is_motion or not np.isfinite(matrix).all():
+    if matrix.shape != (4, 4) or not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise ValueError(f"{matrix.tolist()}")
     if unit is None and np.linalg.norm(matrix[:3, 3]) < min_shift_mm:
         raise ValueError(

@@ -138,8 +138,7 @@ def _fit_motions(
     poses = Pose(*(np.array([part] * len(starts)) for part in fit.pose))
     motions = np.zeros((len(starts), 6))
     prior = np.asarray(block_diag(problem.information, motion_information), float)
-    number = 0
-    while True:
+    for number in range(rounds + 1):
         moved = problem.move(poses, np.pad(motions, ((0, 0), (0, 1))))
         # Before or after the motion, by the touch.
         pairs = [np.stack(pair, axis=1) for pair in zip(poses, moved, strict=True)]
@@ -166,8 +165,7 @@ def _fit_motions(
         steps = -solved / scales
         motions = motions + steps[:, 7:]
         poses = problem.move(poses, steps[:, :7])
-        number += 1
-        if number == far_rounds:
+        if number + 1 == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
             is_lost = misfits > misfits[-1]

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
-from needleforce.anatomy.markups import metres_per, read_point_table
+from needleforce.anatomy.markups import UNITS_m, read_points, said
 from needleforce.anatomy.volume import is_known
 from needleforce.cli.terminal import (
     OTHER_PLACE,
@@ -179,12 +179,13 @@ def read_touches(path: Path | None, unit: str | None) -> TouchFile:
                 f"{path}: {error}; expected what `needleforce touch` writes, "
                 "version 1, or a .csv with the columns name, x_mm, y_mm, z_mm"
             ) from error
-    points = read_point_table(path)
+    points = read_points(path)
     if points.frame:
         raise CommandError(
             f"{path} holds points of a CT: expected places in the robot's base"
         )
-    places_m = (metres_per(points.unit or unit, path) * points.places).tolist()
+    scale_m = said(UNITS_m, points.unit or unit, "--unit", path)
+    places_m = (scale_m * points.places).tolist()
     touched = [*zip(points.names, map(tuple, places_m), strict=True)]
     return TouchFile(
         version=1,

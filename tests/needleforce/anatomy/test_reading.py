@@ -639,7 +639,7 @@ def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
         ("a.txt", "1 0 0 0.5\n0 1 0 0.2\n0 0 1 0.1\n0 0 0 1", "--unit"),
         ("a.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n500 200 100 1", "0 0 0 1"),
         ("a.txt", "1 0 0 500\n0 1 0 200\n0 0 1 100", "0 0 0 1"),
-        ("a.txt", "1 0 0 nan\n0 1 0 200\n0 0 1 100\n0 0 0 1", "nan"),
+        ("a.txt", "1 0 0 nan\n0 1 0 200\n0 0 1 100\n0 0 0 1", "cannot read"),
         ("a.txt", "1,0 0,0 0,0 500,0\n" * 4, "0 0 0 1"),
         ("a.txt", "0 1 0 500\n1 0 0 200\n0 0 1 100\n0 0 0 1", "mirror"),
         ("a.json", '{"a": [[1]], "b": [[1]]}', "0 0 0 1"),
