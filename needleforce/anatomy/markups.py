@@ -99,8 +99,8 @@ def read_markup(
             not known or not said, or two points of one name.
     """
     points = read_points(path)
-    to_lps = said(FRAMES, points.frame or (frame or "").upper(), "--frame", path)
-    scale_m = said(UNITS_m, points.unit or unit, "--unit", path)
+    to_lps = said(FRAMES, points.frame or (frame or "").upper(), "frame", path)
+    scale_m = said(UNITS_m, points.unit or unit, "unit", path)
     points_m = scale_m * to_lps * points.places
     names = tuple(name or str(n) for n, name in enumerate(points.names, 1))
     if not names or len({*names}) < len(names) or not np.isfinite(points_m).all():
@@ -113,14 +113,14 @@ def read_markup(
 
 
 def said(
-    known: Mapping[str, Any], name: str | None, option: str, path: Path | str
+    known: Mapping[str, Any], name: str | None, quantity: str, path: Path | str
 ) -> Any:
     """Return what a name of a unit or a frame means.
 
     Args:
         known: Meanings by their names.
         name: As the file or its user says it.
-        option: By which the user does.
+        quantity: ``unit`` or ``frame``; an option of that name lets the user say it.
         path: The file.
 
     Raises:
@@ -128,8 +128,8 @@ def said(
     """
     if name not in known:
         raise VolumeError(
-            f"{path}: {name or 'nothing'} is said of frame or unit: expected one of "
-            f"{', '.join(known)}, in the file (x_lps_mm) or by `{option}`",
+            f"{path}: the {quantity} is {name or 'not said'}: expected one of "
+            f"{', '.join(known)}, in the file (x_lps_mm) or by `--{quantity}`",
             OTHER_POINTS,
         )
     return known[name]

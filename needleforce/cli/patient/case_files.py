@@ -184,7 +184,7 @@ def read_touches(path: Path | None, unit: str | None) -> TouchFile:
         raise CommandError(
             f"{path} holds points of a CT: expected places in the robot's base"
         )
-    scale_m = said(UNITS_m, points.unit or unit, "--unit", path)
+    scale_m = said(UNITS_m, points.unit or unit, "unit", path)
     places_m = (scale_m * points.places).tolist()
     touched = [*zip(points.names, map(tuple, places_m), strict=True)]
     return TouchFile(
