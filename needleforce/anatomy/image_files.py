@@ -190,15 +190,17 @@ def _placed_file(path: Path) -> str:
     sides = ("left-posterior", "right-anterior", "left-anterior")
     spaces = ("lps", "ras", "las", *(f"{side}-superior" for side in sides))
     # What ITK would invent where it is missing; its MetaImage files are in LPS.
-    needed = {"offset", "transformmatrix", "elementspacing"}
-    end_of_header = rb"\r?\n\r?\n|(?<=\nElementDataFile = )"
+    places = {"offset", "position", "origin"}
+    directions = {"transformmatrix", "orientation", "rotation"}
+    end_of_header = rb"\r?\n\r?\n|\r?\nElementDataFile"
     header = re.split(end_of_header, path.read_bytes(), maxsplit=1)[0]
-    pattern = r"(?m)^([^:=\n]+?)(?:: | = )(.*?)\r?$"
+    pattern = r"(?m)^([^:=\n]+?)(?:: | ?= ?)(.*?)\r?$"
     fields = dict(re.findall(pattern, header.decode("latin-1").lower()))
     unit = fields.get("space units", fields.get("distanceunits", "mm"))
     units = {*re.findall(r'[^"\s]+', unit)}
     if path.suffix in (".mha", ".mhd"):
-        is_placed = needed <= fields.keys()
+        is_placed = bool(places & fields.keys() and directions & fields.keys())
+        is_placed &= "elementspacing" in fields
     else:
         is_placed = fields.get("space") in spaces and "space directions" in fields
     if not is_placed or units - {"mm", "millimeter", "millimetre"}:
@@ -206,7 +208,7 @@ def _placed_file(path: Path) -> str:
             f"{path} has the space {fields.get('space')!r}, its `space directions` are "
             f"{fields.get('space directions', 'missing')}, its units "
             f"{', '.join(units)}: expected left-posterior-superior, RAS or LAS, mm; of "
-            f"a MetaImage {', '.join(needed)}"
+            "a MetaImage Offset, TransformMatrix and ElementSpacing"
         )
     return str(path)
 

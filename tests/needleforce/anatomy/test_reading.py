@@ -197,6 +197,8 @@ def test_a_metaimage_must_say_how_it_lies(tmp_path, old, new):
     whole = path.read_bytes()
 
     np.testing.assert_array_equal(read_volume(path).values, values)
+    path.write_bytes(whole.replace(b"Offset = ", b"Position=", 1))
+    np.testing.assert_array_equal(read_volume(path).values, values)
     for content in (whole.replace(old.encode(), new.encode()), whole[:-9]):
         path.write_bytes(content)
         with pytest.raises(VolumeError, match="mha"):
