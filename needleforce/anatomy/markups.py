@@ -10,7 +10,6 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -36,7 +35,10 @@ UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
 FRAMES = {"LPS": np.ones(3), "RAS": RAS_TO_LPS, "0": RAS_TO_LPS, "1": np.ones(3)}
 """Factors to LPS by the name of a frame, and by the number in old files."""
 
-MALFORMED = (ValueError, LookupError, AttributeError, TypeError, msgspec.MsgspecError)
+MALFORMED = (
+    *(ValueError, LookupError, AttributeError, TypeError, RecursionError),
+    *(csv.Error, msgspec.MsgspecError),
+)
 """What a file that holds something else leads to."""
 
 OTHER_POINTS = (
@@ -154,7 +156,8 @@ def read_points(path: Path | str) -> PointList:
         content = Path(path).read_bytes()
         if kind == ".json":
             return _parse_slicer_json(content)
-        return _parse_table(content.decode("utf-8-sig"), is_slicers=kind == ".fcsv")
+        lines = content.decode("utf-8-sig").splitlines()
+        return _parse_table(lines, is_slicers=kind == ".fcsv")
     except (OSError, StopIteration, *MALFORMED) as error:
         raise VolumeError(
             f"cannot read {path}: {error!r}; expected one list of points, or one line, "
@@ -184,19 +187,23 @@ def _parse_slicer_json(content: bytes) -> PointList:
     )
 
 
-def _parse_table(text: str, *, is_slicers: bool) -> PointList:
+def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
     """Return the points of a table; see `read_points`.
 
     Args:
-        text: Of the file.
+        lines: Of the file.
         is_slicers: It is a ``.fcsv`` file: in millimetres.
     """
-    stated = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
-    lines = re.findall(r"(?m)^(?!#|[ \t]*$).+$", text)
+    # After #, in front of the table.
+    said_in_front = re.compile(r"#\s*(\w+)\s*=\s*(.*?)\s*")
+    stated = dict(
+        found.groups() for found in map(said_in_front.fullmatch, lines) if found
+    )
+    rows_of_text = [line for line in lines if line.strip() and line[0] != "#"]
     if "columns" in stated:
-        lines.insert(0, stated["columns"])
-    separator = next(mark for mark in ";\t," if mark in lines[0])
-    table = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
+        rows_of_text.insert(0, stated["columns"])
+    separator = next(mark for mark in ";\t," if mark in rows_of_text[0])
+    table = csv.DictReader(rows_of_text, delimiter=separator, skipinitialspace=True)
     words = {
         header: {*re.split(r"[\W_]+", header.lower())}
         for header in table.fieldnames or ()
@@ -346,9 +353,11 @@ def _parse_matrix(content: bytes, unit: str | None) -> Any:
         rows = msgspec.json.decode(text)
         (rows,) = rows.values() if isinstance(rows, dict) else (rows,)
     else:
-        rows = np.loadtxt(StringIO(text.replace(",", " ")))
+        lines = [line.replace(",", " ").split() for line in text.splitlines()]
+        rows = [line for line in lines if line and not line[0].startswith("#")]
     matrix = np.array(rows, dtype=float)
-    if matrix.shape != (4, 4) or not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+    is_whole = matrix.shape == (4, 4) and np.isfinite(matrix).all()
+    if not is_whole or not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise ValueError(f"{matrix.tolist()}")
     if unit is None and np.linalg.norm(matrix[:3, 3]) < min_shift_mm:
         raise ValueError(

@@ -532,6 +532,7 @@ TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
         ("a.fcsv", FCSV.replace("LPS", "RAS"), [-10, -20, 30.5]),
         # 3D Slicer 5 writes two fields that it does not name.
         ("a.fcsv", FCSV.replace(",,\n", ",,,2,0\n"), [10, 20, 30.5]),
+        ("a.fcsv", FCSV.replace("\n", "\r\n"), [10, 20, 30.5]),
         ("a.fcsv", FCSV.replace("LPS", "2"), None),
         ("a.fcsv", FCSV.replace("navel", '"rib, right"'), None),
         ("a.csv", TABLE_OF_POINTS, [10, 20, 30.5]),
@@ -557,6 +558,7 @@ TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
         ("a.csv", "rib,10,20,30.5\n", None),
         ("a.csv", TABLE_OF_POINTS.split("\n")[0], None),
         ("a.csv", "", None),
+        ("a.mrk.json", "[" * 20_000, None),
     ],
 )
 def test_points_of_a_table_lie_in_the_stated_frame_and_unit(
@@ -647,6 +649,8 @@ def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
         ("a.json", '{"a": [[1]], "b": [[1]]}', "0 0 0 1"),
         ("a.json", "{}", "0 0 0 1"),
         ("a.json", "[", "0 0 0 1"),
+        ("a.txt", "", "0 0 0 1"),
+        ("a.txt", "1 0 0 inf\n0 1 0 200\n0 0 1 100\n0 0 0 1", "0 0 0 1"),
         ("a.mat", "MATLAB 5.0 MAT-file", "cannot read"),
         ("none.json", None, "none"),
     ],
