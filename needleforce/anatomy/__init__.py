@@ -9,8 +9,8 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `path_layers`, `registration`, `clearance`, `surface`,
-`labels`, `image_files`, `touch_problem`, `surface_fit`, `markups`, `touch_detector`,
-`path_search`, `plan_match`.
+`labels`, `image_files`, `surface_fit`, `markups`, `touch_detector`, `path_search`,
+`plan_match`.
 """
 
 from needleforce.anatomy.clearance import (

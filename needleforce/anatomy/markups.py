@@ -194,11 +194,8 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
         lines: Of the file.
         is_slicers: It is a ``.fcsv`` file: in millimetres.
     """
-    # After #, in front of the table.
-    said_in_front = re.compile(r"#\s*(\w+)\s*=\s*(.*?)\s*")
-    stated = dict(
-        found.groups() for found in map(said_in_front.fullmatch, lines) if found
-    )
+    text = "\n".join(lines)
+    stated = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
     rows_of_text = [line for line in lines if line.strip() and line[0] != "#"]
     if "columns" in stated:
         rows_of_text.insert(0, stated["columns"])
