@@ -128,13 +128,14 @@ def said(
     Raises:
         VolumeError: Nobody says it, or it is not known.
     """
-    if name not in known:
+    key = name or "not said"
+    if key not in known:
         raise VolumeError(
-            f"{path}: the {quantity} is {name or 'not said'}: expected one of "
+            f"{path}: the {quantity} is {key}: expected one of "
             f"{', '.join(known)}, in the file (x_lps_mm) or by `--{quantity}`",
             OTHER_POINTS,
         )
-    return known[name]
+    return known[key]
 
 
 def read_points(path: Path | str) -> PointList:
@@ -182,7 +183,7 @@ def _parse_slicer_json(content: bytes) -> PointList:
         names=[str(one.get("label") or "") for one in placed],
         places=places.reshape(len(placed), 3),
         unit=str(markup.get("coordinateUnits", "mm")),
-        frame=str(markup.get("coordinateSystem", "RAS")),
+        frame=str(markup.get("coordinateSystem", "")),
         is_line=markup.get("type") == "Line",
     )
 

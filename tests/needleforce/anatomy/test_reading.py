@@ -493,6 +493,7 @@ POINTS = (
         ('"LPS"', "1", [10, 20, 30]),
         ('"mm"', '"cm"', [100, 200, 300]),
         ("LPS", "IJK", None),
+        ("coordinateSystem", "axes", None),
         ('"mm"', '"inch"', None),
         ('"c"', '"1"', None),
         ("[10.0,", "[1e999,", None),
