@@ -8,16 +8,16 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `structures`, `body`, `label_checks`,
-`path_layers`, `clearance`, `surface`, `labels`, `scan_files`,
-`label_files`, `registration`, `landmarks`, `landmark_frame`, `touch_problem`,
-`patient_motion`, `surface_fit`, `markups`, `path_search`,
-`needle_surroundings`, `plan_match`, `rupture_model`.
+Reading order: `volume`, `path_layers`, `registration`, `clearance`, `surface`,
+`labels`, `image_files`, `surface_fit`, `markups`, `touch_detector`, `path_search`,
+`plan_match`.
 """
 
 from needleforce.anatomy.clearance import (
     Clearance,
     FreeSpace,
+    NeedleClearance,
+    NeedleSurroundings,
     VoxelBoxes,
     require_clear_path,
 )
@@ -27,23 +27,15 @@ from needleforce.anatomy.errors import (
     RegistrationError,
     VolumeError,
 )
-from needleforce.anatomy.label_files import read_labels
+from needleforce.anatomy.image_files import read_labels, read_volume
 from needleforce.anatomy.labels import Labels
-from needleforce.anatomy.landmark_frame import require_lps
-from needleforce.anatomy.landmarks import fit_landmarks
 from needleforce.anatomy.markups import read_transform
-from needleforce.anatomy.needle_surroundings import (
-    NeedleClearance,
-    NeedleSurroundings,
-)
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
-from needleforce.anatomy.registration import Registration
-from needleforce.anatomy.scan_files import read_volume
-from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.registration import Registration, fit_landmarks, require_lps
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import fit_surface
-from needleforce.anatomy.volume import Grid, Volume
+from needleforce.anatomy.volume import Grid, Structure, Volume
 
 __all__ = [
     "AnatomyError",

@@ -17,7 +17,7 @@ class VolumeError(AnatomyError, ValueError):
 
     usual_advice = (
         "Export it again, in millimetres, with its origin and directions, as .nii, "
-        ".nii.gz, .nrrd or .seg.nrrd, or give the folder of one DICOM series."
+        ".nii.gz, .nrrd, .mha or .seg.nrrd, or give the folder of one DICOM series."
     )
 
 

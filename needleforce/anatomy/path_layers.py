@@ -10,15 +10,15 @@ where these others' votes say that they end: its own are too few.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from dataclasses import dataclass
+from itertools import compress, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError
-from needleforce.anatomy.structures import Segmentation, Structure
+from needleforce.anatomy.volume import Segmentation, Structure
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
@@ -106,30 +106,38 @@ def find_layers(
     path = _voted_path(labels, entry_m, target_m)
     winners = path.votes.argmax(axis=1)
     (index,) = np.nonzero(np.diff(winners))
-    before = winners[index]
-    behind = winners[index + 1]
-    lead = path.votes[index, before] - path.votes[index, behind]
-    next_lead = path.votes[index + 1, before] - path.votes[index + 1, behind]
-    depths_m, stds_m = path.boundaries(index, lead, next_lead)
-    length_m = float(path.depths_m[-1])
-    ends = pairwise([0.0, *depths_m.tolist(), length_m])
-    stds = pairwise([0.0, *np.minimum(stds_m, length_m).tolist(), 0.0])
-    items = [path.ranked[rank] for rank in [winners[0], *behind]]
-    layers = [
-        Layer(item.name, *end, *std, item.is_obstacle)
-        for item, end, std in zip(items, ends, stds, strict=True)
-    ]
+    changes = np.array([winners[index], winners[index + 1]])
+    lead, next_lead = (
+        path.votes[at, changes[0]] - path.votes[at, changes[1]]
+        for at in (index, index + 1)
+    )
+    items = [path.ranked[rank] for rank in [winners[0], *changes[1]]]
+    # Depths and deviations of where layers begin and end, (2, layers + 1).
+    cuts = np.zeros((2, len(items) + 1))
+    cuts[:, 1:-1] = path.boundaries(index, lead, next_lead)
+    cuts[0, -1] = path.depths_m[-1]
     for item, faces_m in sorted(_crossings(labels, path), key=lambda one: one[1][0]):
         # The steps of its voxels along a slanting surface are no layers of their own.
         beside_m = 0.0 if item.is_obstacle else path.voxel_m
-        if not any(
-            layer.name == item.name
-            and layer.entry_m <= faces_m[1] + beside_m
-            and layer.exit_m >= faces_m[0] - beside_m
-            for layer in layers
-        ):
-            layers = _with_crossing(layers, item, faces_m, path)
-    return layers
+        is_met = cuts[0, :-1] <= faces_m[1] + beside_m
+        is_met &= cuts[0, 1:] >= faces_m[0] - beside_m
+        if item not in compress(items, is_met):
+            ends = _ends_by_neighbours(items, cuts[0], item.name, faces_m, path)
+            if ends is None:
+                ends = np.array(
+                    [faces_m, [_std_of_grazed_m(item.name, faces_m, path)] * 2]
+                )
+            first = int(np.searchsorted(cuts[0], ends[0, 0]))
+            last = int(np.searchsorted(cuts[0], ends[0, 1], "right"))
+            cuts = np.hstack([cuts[:, :first], ends, cuts[:, last:]])
+            items = [*items[:first], item, *items[last - 1 :]]
+    cuts[1] = np.minimum(cuts[1], path.depths_m[-1])
+    cuts[1, (cuts[0] <= 0.0) | (cuts[0] >= path.depths_m[-1])] = 0.0
+    bounds = cuts.T.tolist()
+    return [
+        Layer(item.name, begin[0], end[0], begin[1], end[1], item.is_obstacle)
+        for item, begin, end in zip(items, bounds[:-1], bounds[1:], strict=True)
+    ]
 
 
 def _voted_path(labels: Segmentation, entry_m: ArrayLike, target_m: ArrayLike) -> _Path:
@@ -215,82 +223,39 @@ def _crossings(labels: Segmentation, path: _Path) -> Iterator[tuple[Structure, A
                 yield item, faces_m
 
 
-def _with_crossing(
-    layers: list[Layer], item: Structure, faces_m: Array, path: _Path
-) -> list[Layer]:
-    """Return layers with a stretch through voxels of a structure among them.
-
-    Args:
-        layers: Of the path, none of them the structure's there or beside.
-        item: The structure.
-        faces_m: Depths at which its voxels begin and end, (2,).
-        path: The path.
-    """
-    ends_m = _ends_by_neighbours(layers, item.name, faces_m, path)
-    if ends_m is None:
-        std_m = _std_of_grazed_m(item.name, faces_m, path)
-        ends_m = np.array([faces_m, [std_m, std_m]])
-    length_m = path.depths_m[-1]
-    is_between = (ends_m[0] > 0.0) & (ends_m[0] < length_m)
-    stds_m = np.where(is_between, np.minimum(ends_m[1], length_m), 0.0)
-    begin_m, end_m = ends_m[0].tolist()
-    begin_std_m, end_std_m = stds_m.tolist()
-    thin = Layer(
-        name=item.name,
-        entry_m=begin_m,
-        exit_m=end_m,
-        entry_std_m=begin_std_m,
-        exit_std_m=end_std_m,
-        is_obstacle=item.is_obstacle,
-    )
-    before = [
-        replace(one, exit_m=begin_m, exit_std_m=begin_std_m)
-        if one.exit_m > begin_m
-        else one
-        for one in layers
-        if one.entry_m < begin_m
-    ]
-    behind = [
-        replace(one, entry_m=end_m, entry_std_m=end_std_m)
-        if one.entry_m < end_m
-        else one
-        for one in layers
-        if one.exit_m > end_m
-    ]
-    return [*before, thin, *behind]
-
-
 def _ends_by_neighbours(
-    layers: list[Layer], name: str, faces_m: Array, path: _Path
+    items: list[Structure], cuts_m: Array, name: str, faces_m: Array, path: _Path
 ) -> Array | None:
     """Return where the layers on both sides of a thin one say that they end.
+
+    Args:
+        items: Structures of the layers.
+        cuts_m: Depths at which they begin and end, (layers + 1,).
+        name: Of the thin one.
+        faces_m: Depths at which its voxels begin and end, (2,).
+        path: The path.
 
     Returns:
         Depths and standard deviations of begin and end, (2, 2); None where there are
         no two such layers, or where they say something else than the faces of its
         voxels, which are right to within one.
     """
-    names = [
-        (leader.name, follower.name)
-        for leader, follower in pairwise(layers)
-        if faces_m[0] < leader.exit_m < faces_m[1]
-    ]
-    if len(names) != 1:
+    (inner,) = np.nonzero((faces_m[0] < cuts_m[1:-1]) & (cuts_m[1:-1] < faces_m[1]))
+    if len(inner) != 1:
         return None
-    leader, follower = names[0]
-    ends: list[Array] = []
+    leader, follower = (items[inner[0] + side].name for side in (0, 1))
+    found: list[Array] = []
     for face_m, in_front, behind in (
         (faces_m[0], (leader,), (name, follower)),
         (faces_m[1], (leader, name), (follower,)),
     ):
         lead = path.votes_of(*in_front) - path.votes_of(*behind)
         (index,) = np.nonzero((lead[:-1] > 0.0) & (lead[1:] <= 0.0))
-        found = path.boundaries(index, lead[index], lead[index + 1])
-        is_near = np.abs(found[0] - face_m) < path.voxel_m
-        if is_near.sum() != 1:
-            return None
-        ends.append(found[:, is_near][:, 0])
-    return np.array(ends).T if ends[0][0] < ends[1][0] else None
+        ends = path.boundaries(index, lead[index], lead[index + 1])
+        found.append(ends[:, np.abs(ends[0] - face_m) < path.voxel_m])
+    both = np.hstack(found)
+    is_found = [one.shape[1] for one in found] == [1, 1]
+    return both if is_found and both[0, 0] < both[0, 1] else None
 
 
 def _std_of_grazed_m(name: str, faces_m: Array, path: _Path) -> float:

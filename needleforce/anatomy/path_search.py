@@ -96,22 +96,20 @@ def find_paths(
     body = _Body(labels)
     if body.kinds(target) != 1:
         raise VolumeError(f"the target {target.tolist()} m lies outside the body")
-    exits_m = [
-        body.exit_m(target, direction, limits.max_length_m)
-        for direction in _even_directions(DIRECTIONS)
-    ]
-    entries_m = np.array([place_m for place_m in exits_m if np.isfinite(place_m).all()])
+    exits_m = np.array(
+        [
+            body.exit_m(target, direction, limits.max_length_m)
+            for direction in _even_directions(DIRECTIONS)
+        ]
+    )
+    entries_m = exits_m[np.isfinite(exits_m).all(axis=1)]
     angles_rad = np.array([body.skin_angle_rad(entry, target) for entry in entries_m])
     is_clear = angles_rad <= limits.max_angle_rad
     steep = int(np.count_nonzero(is_clear))
     needed_m = limits.space.needed_m
     for number, one in enumerate(boxes, 1):
-        near = [
-            ray
-            for ray in np.flatnonzero(is_clear)
-            if one.nearest(entries_m[ray], target, needed_m) is not None
-        ]
-        is_clear[near] = False
+        for ray in np.flatnonzero(is_clear):
+            is_clear[ray] = one.nearest(entries_m[ray], target, needed_m) is None
         progress(number / len(boxes))
     if not is_clear.any():
         raise PlanError(
@@ -123,8 +121,9 @@ def find_paths(
             "Allow a longer or a flatter path or a smaller margin, avoid less, or "
             "choose another target.",
         )
-    clear = (entries_m[is_clear], angles_rad[is_clear])
-    return _rank(labels, boxes, *clear, target, limits)
+    return _rank(
+        labels, boxes, entries_m[is_clear], angles_rad[is_clear], target, limits
+    )
 
 
 def judge_line(
@@ -144,12 +143,12 @@ def judge_line(
         VolumeError: The ends are one point, or neither leads out of the body.
     """
     body = _Body(labels)
-    exits_m: list[Array] = []
-    for outer_m, target_m in (ends_m, ends_m[::-1]):
-        way_m = outer_m - target_m
-        direction = way_m / max(float(np.linalg.norm(way_m)), 1e-9)
-        exits_m.append(body.exit_m(target_m, direction))
-    lengths_m = np.linalg.norm(np.array(exits_m) - ends_m[::-1], axis=1)
+    # From each end through the other one.
+    targets_m = ends_m[::-1]
+    ways_m = ends_m - targets_m
+    directions = ways_m / max(float(np.linalg.norm(ways_m[0])), 1e-9)
+    exits_m = np.array([*map(body.exit_m, targets_m, directions)])
+    lengths_m = np.linalg.norm(exits_m - targets_m, axis=1)
     if np.isnan(lengths_m).all():
         raise VolumeError(
             "neither end of the line lies inside the body, with the skin behind the "
@@ -157,9 +156,11 @@ def judge_line(
         )
     entry = int(np.nanargmin(lengths_m))
     boxes = [VoxelBoxes(labels, one) for one in labels.at_risk()]
-    target_m = ends_m[1 - entry]
-    angle_rad = np.array([body.skin_angle_rad(exits_m[entry], target_m)])
-    return _rank(labels, boxes, exits_m[entry][None], angle_rad, target_m, limits)[0]
+    angle_rad = np.array([body.skin_angle_rad(exits_m[entry], targets_m[entry])])
+    (path,) = _rank(
+        labels, boxes, exits_m[[entry]], angle_rad, targets_m[entry], limits
+    )
+    return path
 
 
 def _even_directions(count: int) -> Array:
@@ -264,8 +265,6 @@ def _begin_at_tissue(labels: Labels, entry_m: Array, target: Array) -> Array:
     """Return the entry without air in front of it: skin lies between voxels."""
     max_gap_m = 3e-3  # so much air a found path may begin with
     first = labels.layers_along(entry_m, target)[0]
-    if first.name != UNLABELLED or first.exit_m >= max_gap_m:
-        return entry_m
-    return entry_m + first.exit_m * (target - entry_m) / np.linalg.norm(
-        target - entry_m
-    )
+    gap_m = first.exit_m if first.name == UNLABELLED else 0.0
+    way_m = target - entry_m
+    return entry_m + gap_m * (gap_m < max_gap_m) * way_m / np.linalg.norm(way_m)

@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from needleforce.cli.options import (
     ARMS,
+    LIMITS,
     LIVE_OUTPUT,
     LOG,
     LOGS,
@@ -23,7 +24,10 @@ from needleforce.cli.options import (
     JointColumns,
     MovedArmName,
     Output,
+    PathOptions,
+    PointOptions,
     Port,
+    RegistrationOptions,
     RobotOptions,
     Seed,
     SensorOptions,
@@ -46,8 +50,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from urdf import Robot
-
-LIMITS = Group("Limits of the path", sort_key=3)
 
 
 @app.command(name="force", group=LOGS)
@@ -439,24 +441,14 @@ def plan_command(
         tuple[str, ...],
         Parameter(metavar="STRUCTURE", consume_multiple=True, group=LIMITS),
     ] = (),
-    radius: Annotated[
-        float, Parameter(metavar="MM", group=LIMITS, validator=between(0.1, 5.0))
-    ] = 0.8,
-    margin: Annotated[
-        float, Parameter(metavar="MM", group=LIMITS, validator=between(0.0, 100.0))
-    ] = 5.0,
-    max_length: Annotated[
-        float, Parameter(metavar="MM", group=LIMITS, validator=between(1.0, 500.0))
-    ] = 120.0,
-    cone: Annotated[
-        float, Parameter(metavar="DEG", group=LIMITS, validator=between(0.1, 90.0))
-    ] = 35.0,
     choose: Annotated[
         int, Parameter(metavar="N", group=LIMITS, validator=between(1, 1000))
     ] = 1,
     output: Annotated[
         Path, Parameter(name=("--output", "-o"), metavar="DIR", group=LIVE_OUTPUT)
     ] = Path("plan"),
+    limits: PathOptions = PathOptions(),
+    points: PointOptions = PointOptions(),
 ) -> int:
     """Find straight paths from the skin to a target in a CT, ranked.
 
@@ -466,11 +458,11 @@ def plan_command(
     needleforce plan --ct ct/ --labels segmentation.nii.gz --target lesion -o plan
 
     Args:
-        ct: CT: folder with one DICOM series, .nii.gz or .nrrd.
-        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, or DICOM SEG.
+        ct: CT: folder with one DICOM series, .nii.gz, .nrrd or .mha.
+        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, .mha, or DICOM SEG.
         target: Name of a structure, whose innermost point is the target; or points or a
-            line of 3D Slicer (.mrk.json): the first point is the target, a line is the
-            path.
+            line of 3D Slicer (.mrk.json, .fcsv, .csv): the first point is the target, a
+            line is the path.
         structures: What structures are that the segmentation does not name:
             label_5=liver,Segment_2=rib; or a JSON file ({"5": "liver"}).
         situs_inversus: Liver and spleen of this patient are exchanged.
@@ -479,15 +471,11 @@ def plan_command(
         passable: Structures that the needle may pass: at risk by their names, or with
             names that say nothing; dense_as_bone for what is dense in the CT and not
             labelled. No bone.
-        radius: Radius of the needle in millimetres (default: 0.8, of 18 G with its
-            sheath).
-        margin: Distance in millimetres that stays free around the needle (default: 5).
-        max_length: Longest path in millimetres (default: 120).
-        cone: Largest angle in degrees between the path and the skin's normal (default:
-            35).
         choose: Number of the path, in the table, that becomes the plan (default: 1).
         output: Folder for plan.json, path.mrk.json for 3D Slicer and a page (default:
             plan).
+        limits: What a path may be.
+        points: What a file of points may leave unsaid.
     """
     from needleforce.cli.patient.plan_run import plan_paths
 
@@ -495,14 +483,12 @@ def plan_command(
         ct,
         labels,
         target,
+        points=points,
         structures_text=structures,
         situs_inversus=situs_inversus,
         avoid=avoid,
         passable=passable,
-        radius_mm=radius,
-        margin_mm=margin,
-        max_length_mm=max_length,
-        cone_deg=cone,
+        limits=limits,
         choice=choose,
         folder=output,
     )
@@ -523,6 +509,7 @@ def touch_command(
     contact: Annotated[
         float, Parameter(metavar="N", group=LOG, validator=between(1e-3, 1e3))
     ] = 0.5,
+    points: PointOptions = PointOptions(),
     options: ArmOptions = ArmOptions(),
     robot: RobotOptions = RobotOptions(),
 ) -> int:
@@ -536,18 +523,26 @@ def touch_command(
     Args:
         arm: The arm that holds the needle.
         output: What was touched (default: touches.json).
-        landmarks: Points of the CT (.mrk.json): they are touched first, in the file's
-            order; what is touched after them counts as skin.
+        landmarks: Points of the CT (.mrk.json, .fcsv, .csv): they are touched first, in
+            the file's order; what is touched after them counts as skin.
         count: End after so many touches of the skin (default: 40).
         contact: Least force of a contact, in newtons, over that of the free needle
             (default: 0.5).
+        points: What a file of points may leave unsaid.
         options: How long the arm is listened to.
         robot: The model of the arm.
     """
     from needleforce.cli.patient.touch_run import record_touches
 
     return record_touches(
-        arm, output, options, robot, landmarks=landmarks, count=count, contact_N=contact
+        arm,
+        output,
+        options,
+        robot,
+        landmarks=landmarks,
+        points=points,
+        count=count,
+        contact_N=contact,
     )
 
 
@@ -567,20 +562,10 @@ def register_command(
     transform_std: Annotated[
         float | None, Parameter(metavar="MM", group=LOG, validator=between(1e-3, 50.0))
     ] = None,
-    landmark_std: Annotated[
-        float, Parameter(metavar="MM", group=LOG, validator=between(1e-3, 50.0))
-    ] = 1.5,
-    touch_std: Annotated[
-        float, Parameter(metavar="MM", group=LOG, validator=between(1e-3, 50.0))
-    ] = 0.5,
-    softness: Annotated[
-        float, Parameter(metavar="MM", group=LOG, validator=between(0.0, 50.0))
-    ] = 3.0,
-    motion: Annotated[
-        float, Parameter(metavar="MM", group=LOG, validator=between(0.0, 50.0))
-    ] = 3.0,
     landmarks_only: Annotated[bool, Parameter(group=LOG)] = False,
     negate_xy: Annotated[bool, Parameter(group=LOG)] = False,
+    points: PointOptions = PointOptions(),
+    errors: RegistrationOptions = RegistrationOptions(),
 ) -> int:
     """Find where the patient of a plan lies in the robot's base.
 
@@ -593,24 +578,22 @@ def register_command(
     Args:
         plan: Plan that `needleforce plan` wrote.
         output: The plan with its registration; the same file is replaced.
-        landmarks: Points of the CT (.mrk.json), with the names of those touched.
-        touches: What `needleforce touch` recorded.
+        landmarks: Points of the CT (.mrk.json, .fcsv, .csv), with the names of those
+            touched.
+        touches: What `needleforce touch` recorded; or a .csv of places in the robot's
+            base: those with a name are landmarks, the others the skin.
         transform: In place of landmarks: a rigid transform from the CT to the robot's
-            base (.h5, .tfm), which touches of the skin check.
-        transform_from: Who wrote it: slicer, or itk (TransformPoint carries points of
-            the CT to the base).
+            base (.h5, .tfm, .mat of ANTs, a 4 x 4 matrix in .txt or .json), which
+            touches of the skin check.
+        transform_from: Who wrote it: slicer (a matrix: as it shows it), or itk
+            (TransformPoint, or the matrix, carries points of the CT to the base).
         transform_std: Its standard deviation at the patient along each axis, in
             millimetres.
-        landmark_std: Standard deviation of a landmark along each axis in millimetres,
-            localisation in the CT included (default: 1.5).
-        touch_std: Standard deviation of a touch of the skin, likewise (default: 0.5).
-        softness: By up to so many millimetres touches press the skin in (default: 3);
-            how far they do is estimated.
-        motion: Standard deviation of what organs move against the skin, in millimetres
-            (default: 3).
         landmarks_only: Leave the touches of the skin out.
         negate_xy: Negate x and y of the landmarks: their file says LPS and holds RAS,
             or the reverse.
+        points: What a file of points or a matrix may leave unsaid.
+        errors: Errors of landmarks and touches.
     """
     from needleforce.cli.patient.register_run import register_plan
 
@@ -622,10 +605,8 @@ def register_command(
         transform=transform,
         transform_from=transform_from,
         transform_std_mm=transform_std,
-        landmark_std_mm=landmark_std,
-        touch_std_mm=touch_std,
-        softness_mm=softness,
-        motion_mm=motion,
+        points=points,
+        errors=errors,
         landmarks_only=landmarks_only,
         negate_xy=negate_xy,
     )

@@ -26,6 +26,7 @@ LIVE_OUTPUT = Group("Output", sort_key=2)
 ROBOT = Group("Robot", sort_key=3)
 SENSOR = Group("Sensor", sort_key=4)
 TARE = Group("Tare", sort_key=5)
+LIMITS = Group("Limits of the path", sort_key=3)
 COLUMNS = Group(
     "Columns",
     help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names "
@@ -94,6 +95,75 @@ Port = Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)]
 """Port of the scene's page."""
 
 _COLUMN = Parameter(metavar="COLUMNS")
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class PointOptions:
+    """What a file of points or a matrix may leave unsaid.
+
+    Attributes:
+        unit: Unit of places in a file that does not say it.
+        frame: Frame of points of the CT in a file that does not say it.
+    """
+
+    unit: Literal["mm", "cm", "m"] | None = None
+    frame: Literal["lps", "ras"] | None = None
+
+
+@Parameter(name="*", group=LIMITS)
+@dataclass(frozen=True, kw_only=True)
+class PathOptions:
+    """What a planned path may be.
+
+    Attributes:
+        radius: Radius of the needle in millimetres (default: 0.8, of 18 G with its
+            sheath).
+        margin: Distance in millimetres that stays free around the needle (default: 5).
+        max_length: Longest path in millimetres (default: 120).
+        cone: Largest angle in degrees between the path and the skin's normal (default:
+            35).
+    """
+
+    radius: Annotated[float, Parameter(metavar="MM", validator=between(0.1, 5.0))] = 0.8
+    margin: Annotated[float, Parameter(metavar="MM", validator=between(0.0, 100.0))] = (
+        5.0
+    )
+    max_length: Annotated[
+        float, Parameter(metavar="MM", validator=between(1.0, 500.0))
+    ] = 120.0
+    cone: Annotated[float, Parameter(metavar="DEG", validator=between(0.1, 90.0))] = (
+        35.0
+    )
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class RegistrationOptions:
+    """Errors of what registers a patient.
+
+    Attributes:
+        landmark_std: Standard deviation of a landmark along each axis in millimetres,
+            localisation in the CT included (default: 1.5).
+        touch_std: Standard deviation of a touch of the skin, likewise (default: 0.5).
+        softness: By up to so many millimetres touches press the skin in (default: 3);
+            how far they do is estimated.
+        motion: Standard deviation of what organs move against the skin, in millimetres
+            (default: 3).
+    """
+
+    landmark_std: Annotated[
+        float, Parameter(metavar="MM", validator=between(1e-3, 50.0))
+    ] = 1.5
+    touch_std: Annotated[
+        float, Parameter(metavar="MM", validator=between(1e-3, 50.0))
+    ] = 0.5
+    softness: Annotated[
+        float, Parameter(metavar="MM", validator=between(0.0, 50.0))
+    ] = 3.0
+    motion: Annotated[float, Parameter(metavar="MM", validator=between(0.0, 50.0))] = (
+        3.0
+    )
 
 
 @Parameter(name="*", group=COLUMNS)

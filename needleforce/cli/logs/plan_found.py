@@ -8,7 +8,7 @@ import pandas as pd
 
 from foundation.arrays import Array
 from needleforce.anatomy import NeedleClearance, PlanError
-from needleforce.anatomy.needle_surroundings import sort_clearances
+from needleforce.anatomy.clearance import sort_clearances
 from needleforce.cli.logs.layers import LayerReplay
 from needleforce.cli.logs.result import Result
 from needleforce.cli.terminal import json_text, warn

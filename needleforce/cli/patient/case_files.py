@@ -11,7 +11,8 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
-from needleforce.anatomy.structures import is_known
+from needleforce.anatomy.markups import UNITS_m, read_points, said
+from needleforce.anatomy.volume import is_known
 from needleforce.cli.terminal import (
     OTHER_PLACE,
     CommandError,
@@ -156,20 +157,41 @@ def require_known_names(
         )
 
 
-def read_touches(path: Path | None) -> TouchFile:
-    """Read what `needleforce touch` wrote; without a file nothing was touched.
+def read_touches(path: Path | None, unit: str | None) -> TouchFile:
+    """Read what was touched; without a file nothing was.
+
+    Args:
+        path: What `needleforce touch` wrote, or a table of places in the robot's base:
+            those with a name are landmarks.
+        unit: Of places in a table that does not say it.
 
     Raises:
         CommandError: The file cannot be read, or is of another version.
+        needleforce.anatomy.VolumeError: Nor can the table, or it is not in the base.
     """
     if path is None:
         return TouchFile(version=1)
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=TouchFile)
-    except (OSError, msgspec.MsgspecError) as error:
+    if path.suffix.lower() == ".json":
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=TouchFile)
+        except (OSError, msgspec.MsgspecError) as error:
+            raise CommandError(
+                f"{path}: {error}; expected what `needleforce touch` writes, "
+                "version 1, or a .csv with the columns name, x_mm, y_mm, z_mm"
+            ) from error
+    points = read_points(path)
+    if points.frame:
         raise CommandError(
-            f"{path}: {error}; expected what `needleforce touch` writes, version 1"
-        ) from error
+            f"{path} holds points of a CT: expected places in the robot's base"
+        )
+    scale_m = said(UNITS_m, points.unit or unit, "unit", path)
+    places_m = (scale_m * points.places).tolist()
+    touched = [*zip(points.names, map(tuple, places_m), strict=True)]
+    return TouchFile(
+        version=1,
+        landmarks=tuple(LandmarkTouch(*one) for one in touched if one[0]),
+        touches_m=tuple(place_m for name, place_m in touched if not name),
+    )
 
 
 def read_plan_fields(place: Path) -> dict[str, Any]:

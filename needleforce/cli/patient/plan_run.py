@@ -21,6 +21,7 @@ from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE, SHOWN_VOXEL_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import PathLimits, SkinPath
+from needleforce.cli.options import PathOptions, PointOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import (
     CommandError,
@@ -61,14 +62,12 @@ def plan_paths(
     labels_file: Path,
     target_name: str,
     *,
+    points: PointOptions,
     structures_text: str | None,
     situs_inversus: bool,
     avoid: Sequence[str],
     passable: Sequence[str],
-    radius_mm: float,
-    margin_mm: float,
-    max_length_mm: float,
-    cone_deg: float,
+    limits: PathOptions,
     choice: int,
     folder: Path,
 ) -> int:
@@ -77,15 +76,13 @@ def plan_paths(
     Args:
         ct: The CT.
         labels_file: Its segmentation.
-        target_name: The target: a structure, or a ``.mrk.json`` file.
+        target_name: The target: a structure, or a file with points or a line.
+        points: What a file of points may leave unsaid.
         structures_text: What structures are that the segmentation does not name.
         situs_inversus: Whether liver and spleen are exchanged.
         avoid: Structures that must stay clear, beside the usual ones.
         passable: Structures that the needle may pass.
-        radius_mm: Of the needle.
-        margin_mm: What stays free around it.
-        max_length_mm: Of a path.
-        cone_deg: Largest angle between a path and the skin's normal.
+        limits: What a path may be.
         choice: Number of the path that becomes the plan.
         folder: Folder of the plan; whole or absent.
 
@@ -99,16 +96,17 @@ def plan_paths(
     """
     plots.require_matplotlib("plan")
     require_modules("plan", case_files.MODULES)
-    space = FreeSpace(radius_mm / M_TO_MM, margin_mm / M_TO_MM)
-    limits = PathLimits(max_length_mm / M_TO_MM, float(np.radians(cone_deg)), space)
+    space = FreeSpace(limits.radius / M_TO_MM, limits.margin / M_TO_MM)
+    max_angle_rad = float(np.radians(limits.cone))
+    path_limits = PathLimits(limits.max_length / M_TO_MM, max_angle_rad, space)
     structures = case_files.parse_structures(structures_text)
     case = case_files.read_case(
         ct, labels_file, structures, situs_inversus=situs_inversus
     )
     labels = case.labels
     avoided = _names_to_avoid(labels, target_name, avoid, passable)
-    target, points_m = _find_target(target_name, labels)
-    paths = _find_paths(labels, points_m, avoided, limits)
+    target, points_m = _find_target(target_name, labels, points)
+    paths = _find_paths(labels, points_m, avoided, path_limits)
     if choice > len(paths):
         raise CommandError(f"--choose {choice}: only {len(paths)} paths were found")
     chosen = paths[choice - 1]
@@ -120,7 +118,7 @@ def plan_paths(
     require_clear_path(chosen.clearances, space, accepted)
     rows = pd.DataFrame([_row(n, path) for n, path in enumerate(paths, 1)])
     notes = [
-        f"target {target}; at most {max_length_mm:g} mm long and {cone_deg:.0f} "
+        f"target {target}; at most {limits.max_length:g} mm long and {limits.cone:.0f} "
         f"degrees from the skin's normal; {M_TO_MM * space.needed_m:.1f} mm from the "
         "needle's centre line stay clear of "
         f"{', '.join(avoided) or 'nothing: no structure is at risk by its name'}"
@@ -172,16 +170,17 @@ def plan_paths(
     return 0
 
 
-def _find_target(name: str, labels: Labels) -> tuple[str, Array]:
+def _find_target(name: str, labels: Labels, points: PointOptions) -> tuple[str, Array]:
     """Return the name of the target and its place, (1, 3), or the ends of a line.
 
     Args:
         name: A file with points or a line, or a structure.
         labels: The segmentation.
+        points: What a file of points may leave unsaid.
     """
-    if not name.endswith(".json"):
+    if not name.endswith((".json", ".fcsv", ".csv")):
         return name, np.array([labels.deepest_point_m(name)])
-    markup = read_markup(name)
+    markup = read_markup(name, points.unit, points.frame)
     if not markup.is_line:
         return markup.names[0], markup.points_m[:1]
     if len(markup.points_m) != 2:

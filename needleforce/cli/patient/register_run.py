@@ -10,14 +10,16 @@ from scipy.special import fdtri
 from foundation.arrays import Array
 from needleforce import anatomy
 from needleforce.anatomy import PlanError, Registration, RegistrationError, Surface
-from needleforce.anatomy.landmarks import (
+from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy.registration import (
+    MAX_DEGREES,
     MIN_VERIFIED,
     LandmarkResidual,
     judge_landmarks,
 )
-from needleforce.anatomy.markups import RAS_TO_LPS, read_markup
-from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
+from needleforce.anatomy.volume import RAS_TO_LPS
+from needleforce.cli.options import PointOptions, RegistrationOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import (
     CommandError,
@@ -42,10 +44,8 @@ def register_plan(
     transform: Path | None,
     transform_from: Literal["slicer", "itk"] | None,
     transform_std_mm: float | None,
-    landmark_std_mm: float,
-    touch_std_mm: float,
-    softness_mm: float,
-    motion_mm: float,
+    points: PointOptions,
+    errors: RegistrationOptions,
     landmarks_only: bool,
     negate_xy: bool,
 ) -> int:
@@ -59,10 +59,8 @@ def register_plan(
         transform: In place of landmarks: from the CT to the robot's base.
         transform_from: Who wrote it.
         transform_std_mm: Its deviation at the patient along each axis.
-        landmark_std_mm: Deviation of a landmark along each axis.
-        touch_std_mm: Deviation of a touch of the skin.
-        softness_mm: By so much touches press the skin in, at most.
-        motion_mm: Deviation of what organs move against the skin.
+        points: What a file of points or a matrix may leave unsaid.
+        errors: Of landmarks, touches and organs.
         landmarks_only: Whether touches of the skin are left out.
         negate_xy: Whether x and y of the landmarks are negated.
 
@@ -76,16 +74,16 @@ def register_plan(
     """
     require_modules("register", case_files.MODULES)
     fields = case_files.read_plan_fields(place)
-    touched = case_files.read_touches(touch_file)
+    touched = case_files.read_touches(touch_file, points.unit)
     touches_m = np.array(touched.touches_m, dtype=float).reshape(-1, 3)
     names = [one.name for one in touched.landmarks]
     residuals: list[LandmarkResidual] = []
     model_m = np.zeros((0, 3))
     if transform is None and landmark_file is not None and touch_file is not None:
         touches_m = _require_touches(touches_m, landmarks_only=landmarks_only)
-        model_m = _places_of(names, landmark_file, negate_xy=negate_xy)
+        model_m = _places_of(names, landmark_file, points, negate_xy=negate_xy)
         robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
-        std_m = M_PER_MM * landmark_std_mm
+        std_m = M_PER_MM * errors.landmark_std
         fit = anatomy.fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=True)
         residuals = judge_landmarks(model_m, robot_m, std_m, names)
     elif (
@@ -103,7 +101,7 @@ def register_plan(
             "at the patient in mm; see docs/how-to/segmentations.md"
         )
     else:
-        motion = anatomy.read_transform(str(transform), transform_from)
+        motion = anatomy.read_transform(transform, transform_from, points.unit)
         std_m = M_PER_MM * transform_std_mm
         fit = _fit_of_transform(fields, motion.rotation, motion.translation_m, std_m)
     labels = case_files.case_of_plan(place).labels
@@ -121,14 +119,14 @@ def register_plan(
                     skin,
                     touches_m,
                     fit,
-                    touch_std_m=M_PER_MM * touch_std_mm,
-                    softness_m=M_PER_MM * softness_mm,
+                    touch_std_m=M_PER_MM * errors.touch_std,
+                    softness_m=M_PER_MM * errors.softness,
                 )
     distances_m = _skin_distances_m(fit, skin, touches_m)
     if transform is not None:
-        expected_m = M_PER_MM * float(np.hypot(transform_std_mm or 0.0, touch_std_mm))
-        _require_touched_skin(distances_m, expected_m)
-    added = _fit_fields(fields, fit, residuals, distances_m, M_PER_MM * motion_mm)
+        expected_mm = float(np.hypot(transform_std_mm or 0.0, errors.touch_std))
+        _require_touched_skin(distances_m, M_PER_MM * expected_mm)
+    added = _fit_fields(fields, fit, residuals, distances_m, M_PER_MM * errors.motion)
     rows = _rows(fit, residuals, distances_m, added)
     write_out(f"{aligned(rows.items())}{case_files.NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
@@ -154,14 +152,16 @@ def _require_touches(touches_m: Array, *, landmarks_only: bool) -> Array:
     return touches_m[:0] if landmarks_only else touches_m
 
 
-def _places_of(names: Sequence[str], landmark_file: Path, *, negate_xy: bool) -> Array:
+def _places_of(
+    names: Sequence[str], file: Path, points: PointOptions, *, negate_xy: bool
+) -> Array:
     """Return the places in the CT of landmarks that were touched, shape (n, 3)."""
-    markup = read_markup(landmark_file)
+    markup = read_markup(file, points.unit, points.frame)
     place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
     if len({*names}) < len(names) or not place_by_name.keys() >= {*names}:
         raise CommandError(
             f"landmarks {', '.join(names)} were touched: expected each once, of those "
-            f"in {landmark_file}: {', '.join(markup.names)}"
+            f"in {file}: {', '.join(markup.names)}"
         )
     places_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
     return places_m * RAS_TO_LPS if negate_xy else places_m

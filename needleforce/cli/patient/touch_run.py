@@ -19,7 +19,7 @@ from needleforce.cli.arms.arm_connection import (
     open_arm,
     samples_until_stopped,
 )
-from needleforce.cli.options import ArmOptions, RobotOptions
+from needleforce.cli.options import ArmOptions, PointOptions, RobotOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
 from needleforce.devices import LinkError
@@ -36,6 +36,7 @@ def record_touches(
     robot: RobotOptions,
     *,
     landmarks: Path | None,
+    points: PointOptions,
     count: int,
     contact_N: float,
 ) -> int:
@@ -47,6 +48,7 @@ def record_touches(
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
         landmarks: Points of the CT, which are touched first.
+        points: What their file may leave unsaid.
         count: Of the touches of the skin after them.
         contact_N: Least force of a contact.
 
@@ -59,7 +61,7 @@ def record_touches(
     require_place(output)
     wanted = Markup((), np.zeros((0, 3)))
     if landmarks is not None:
-        wanted = read_markup(landmarks)
+        wanted = read_markup(landmarks, points.unit, points.frame)
     names = wanted.names
     places_m: list[Array] = []
     lost: LinkError | None = None

@@ -236,6 +236,40 @@ def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(capsys, fie
     np.testing.assert_allclose(turn, fields["rotation"], atol=1e-3)
 
 
+def test_lists_of_other_programs_register_as_those_of_ours(capsys, fields):
+    markup = read_markup("patient/landmarks.mrk.json")
+    touched = load("touches.json")
+    slicers = ["# CoordinateSystem = RAS", "# columns = id,x,y,z,vis,label"]
+    table = ["name,x_mm,y_mm,z_mm"]
+    for name, point_m in zip(markup.names, markup.points_m, strict=True):
+        x_mm, y_mm, z_mm = 1e3 * point_m * [-1.0, -1.0, 1.0]
+        slicers.append(f"1,{x_mm:.4f},{y_mm:.4f},{z_mm:.4f},1,{name}")
+    places = [(one["name"], one["place_m"]) for one in touched["landmarks"]]
+    for name, place_m in [
+        *places,
+        *(("", place_m) for place_m in touched["touches_m"]),
+    ]:
+        x_mm, y_mm, z_mm = 1e3 * np.array(place_m)
+        table.append(f"{name},{x_mm:.4f},{y_mm:.4f},{z_mm:.4f}")
+    Path("points.fcsv").write_text("\n".join(slicers), encoding="utf-8")
+    Path("unsaid.fcsv").write_text("\n".join(slicers[1:]), encoding="utf-8")
+    Path("touched.csv").write_text("\n".join(table), encoding="utf-8")
+    Path("unsaid.csv").write_text("\n".join(table).replace("_mm", ""), encoding="utf-8")
+    lists = {
+        ("points.fcsv", "touched.csv"): "",
+        ("unsaid.fcsv", "unsaid.csv"): "--unit mm --frame ras",
+    }
+    for files, options in lists.items():
+        obey(f"{REGISTER.format(*files)} {options} -o listed.json")
+        place_m = load("listed.json")["registration"]["target_in_base_m"]
+        expected_m = fields["registration"]["target_in_base_m"]
+        np.testing.assert_allclose(place_m, expected_m, atol=1e-5)
+    unsaid = REGISTER.format("unsaid.fcsv", "unsaid.csv")
+    assert "--unit" in run(capsys, f"{unsaid} --frame ras")
+    assert "--frame" in run(capsys, f"{unsaid} --unit mm")
+    assert "base" in run(capsys, REGISTER.format("points.fcsv", "points.fcsv"))
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -301,6 +335,11 @@ def test_a_transform_registers_and_obstacles_are_judged_with_its_deviation(
     turn = load("right.json")["rotation"]
     np.testing.assert_allclose(turn, fields["rotation"], atol=1e-9)
     assert read_plan("right.json").path is not None
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([fields["rotation"], fields["translation_m"]])
+    np.savetxt("matrix.txt", matrix)
+    obey(f"register --transform matrix.txt --unit m --plan plan {RIGHT} -o right.json")
+    np.testing.assert_allclose(load("right.json")["rotation"], turn, atol=1e-9)
     wide = f"{by_transform} wide --transform-from itk --transform-std"
     assert "rib_right" in run(capsys, f"{wide} 1")
     obey(f"{wide} 0.2 -o wide/plan.json")
@@ -360,8 +399,14 @@ def test_a_point_is_a_target_and_a_line_a_path(capsys, fields):
     outside_m = ends_m[0] + 0.05 * (ends_m[0] - ends_m[1])
     write_markup("point.mrk.json", "Fiducial", ["here"], ends_m[1:])
     write_markup("line.mrk.json", "Line", ["b", "a"], np.array([ends_m[1], outside_m]))
-    for name in ("point", "line"):
-        line = PLAN.format("patient/labels.nii.gz", f"{name}.mrk.json")
+    x_mm, y_mm, z_mm = 1e3 * ends_m[1]
+    Path("point.csv").write_text(f"x_mm,y_mm,z_mm\n{x_mm},{y_mm},{z_mm}\n")
+    for name, file in (
+        ("table", "point.csv --frame lps"),
+        ("point", "point.mrk.json"),
+        ("line", "line.mrk.json"),
+    ):
+        line = PLAN.format("patient/labels.nii.gz", file)
         obey(f"{line} --passable liver -o {name}")
         plan = load(f"{name}/plan.json")
         np.testing.assert_allclose(plan["target_m"], ends_m[1], atol=1e-6)

@@ -16,10 +16,13 @@ from needleforce.anatomy import (
 from needleforce.anatomy.markups import read_markup
 from tests.needleforce.anatomy import made_files as made
 
+RAS = [-1.0, -1.0, 1.0]
 TURN = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.seg.nrrd"])
+@pytest.mark.parametrize(
+    "name", ["a.nii", "a.nii.gz", "a.nrrd", "a.seg.nrrd", "a.mha", "a.mhd"]
+)
 @pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, 1), (1, 1, -1)])
 def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
     values = np.zeros((10, 12, 14), np.uint8)
@@ -179,8 +182,32 @@ def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, x_m):
 
 
 @pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("Offset = ", "Comment = "),
+        ("TransformMatrix = ", "Comment = "),
+        ("ElementSpacing = ", "Comment = "),
+        ("CenterOfRotation = 0 0 0", "DistanceUnits = cm"),
+    ],
+)
+def test_a_metaimage_must_say_how_it_lies(tmp_path, old, new):
+    path = tmp_path / "a.mha"
+    values = np.arange(125, dtype=np.int16).reshape(5, 5, 5)
+    made.write_image(path, values, (2.0, 2.0, 2.0))
+    whole = path.read_bytes()
+
+    np.testing.assert_array_equal(read_volume(path).values, values)
+    path.write_bytes(whole.replace(b"Offset = ", b"Position=", 1))
+    np.testing.assert_array_equal(read_volume(path).values, values)
+    for content in (whole.replace(old.encode(), new.encode()), whole[:-9]):
+        path.write_bytes(content)
+        with pytest.raises(VolumeError, match="mha"):
+            read_volume(path)
+
+
+@pytest.mark.parametrize(
     "name",
-    ["a.hdr", "a.mha", "b.nrrd", "b.nii", "b.nii.gz", "none.nrrd", "none.nii", ""],
+    ["a.hdr", "b.mha", "b.nrrd", "b.nii", "b.nii.gz", "none.nrrd", "none.nii", ""],
 )
 def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path, name):
     if name[:1] == "a":
@@ -466,6 +493,7 @@ POINTS = (
         ('"LPS"', "1", [10, 20, 30]),
         ('"mm"', '"cm"', [100, 200, 300]),
         ("LPS", "IJK", None),
+        ("coordinateSystem", "axes", None),
         ('"mm"', '"inch"', None),
         ('"c"', '"1"', None),
         ("[10.0,", "[1e999,", None),
@@ -486,12 +514,85 @@ def test_points_of_slicer_lie_in_the_stated_frame_and_unit(
         np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
 
 
+FCSV = """\
+# Markups fiducial file version = 4.11
+# CoordinateSystem = LPS
+# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
+1,10,20,30.5,0,0,0,1,1,1,0,"rib, right",,
+2,1,2,3,0,0,0,1,1,1,0,navel,,
+"""
+TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "first_mm"),
+    [
+        ("a.fcsv", FCSV, [10, 20, 30.5]),
+        ("a.fcsv", FCSV.replace("LPS", "1"), [10, 20, 30.5]),
+        ("a.fcsv", FCSV.replace("LPS", "0"), [-10, -20, 30.5]),
+        ("a.fcsv", FCSV.replace("LPS", "RAS"), [-10, -20, 30.5]),
+        # 3D Slicer 5 writes two fields that it does not name.
+        ("a.fcsv", FCSV.replace(",,\n", ",,,2,0\n"), [10, 20, 30.5]),
+        ("a.fcsv", FCSV.replace("\n", "\r\n"), [10, 20, 30.5]),
+        ("a.fcsv", FCSV.replace("LPS", "2"), None),
+        ("a.fcsv", FCSV.replace("navel", '"rib, right"'), None),
+        ("a.csv", TABLE_OF_POINTS, [10, 20, 30.5]),
+        ("a.csv", TABLE_OF_POINTS.replace("_lps_mm", " [LPS, m]"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("_lps_mm", "_ras_cm"), [-100, -200, 305]),
+        (
+            "a.txt",
+            TABLE_OF_POINTS.replace(",", "\t").replace("_lps", " LPS"),
+            [10, 20, 30.5],
+        ),
+        (
+            "a.csv",
+            TABLE_OF_POINTS.replace(",", ";").replace(".", ","),
+            [10, 20, 30.5],
+        ),
+        ("a.csv", "# unit = mm\n" + TABLE_OF_POINTS.replace("_mm", ""), [10, 20, 30.5]),
+        ("a.csv", TABLE_OF_POINTS.replace("30.5", "30,5"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("30.5", ""), None),
+        ("a.csv", TABLE_OF_POINTS.replace("30.5", "nan"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("y_lps_mm", "y_lps_m"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("y_lps_mm", "y_ras_mm"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("y_lps_mm", "height"), None),
+        ("a.csv", "rib,10,20,30.5\n", None),
+        ("a.csv", TABLE_OF_POINTS.split("\n")[0], None),
+        ("a.csv", "", None),
+        ("a.mrk.json", "[" * 20_000, None),
+    ],
+)
+def test_points_of_a_table_lie_in_the_stated_frame_and_unit(
+    tmp_path, name, text, first_mm
+):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    with made.refused_if(first_mm is None, name):
+        markup = read_markup(path)
+        assert len(markup.names) == 2
+        assert markup.names[0].startswith("rib")
+        np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
+
+
+def test_what_a_table_leaves_unsaid_is_asked_for_and_what_it_says_counts(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("label;x;y;z\na;1;2;3\n", encoding="utf-8")
+
+    with pytest.raises(VolumeError, match="--frame"):
+        read_markup(path, unit="mm")
+    with pytest.raises(VolumeError, match="--unit"):
+        read_markup(path, frame="lps")
+    np.testing.assert_allclose(read_markup(path, "m", "ras").points_m, [[-1, -2, 3]])
+    path.write_text(TABLE_OF_POINTS, encoding="utf-8")
+    np.testing.assert_allclose(read_markup(path, "m", "ras").points_m[1, 0], 1e-3)
+
+
 def transform(matrix, shift_mm=(10.0, 20.0, 30.0), centre_mm=(0.0, 0.0, 0.0)):
     numbers = np.ravel(matrix).astype(float).tolist()
     return SimpleITK.AffineTransform(numbers, shift_mm, centre_mm)
 
 
-@pytest.mark.parametrize("name", ["a.h5", "a.tfm"])
+@pytest.mark.parametrize("name", ["a.h5", "a.tfm", "a.mat", "a.txt"])
 def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
     tmp_path, name
 ):
@@ -499,13 +600,68 @@ def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
     SimpleITK.WriteTransform(centred, str(tmp_path / name))
     point_mm = [4.0, 5.0, -6.0]
     shown_mm = np.array(centred.GetInverse().TransformPoint(point_mm))
-    expected_mm = [centred.TransformPoint(point_mm), shown_mm * [-1.0, -1.0, 1.0]]
+    expected_mm = [centred.TransformPoint(point_mm), shown_mm * RAS]
     places_m = [
         read_transform(tmp_path / name, source).carry(1e-3 * np.array([point_mm]))[0]
         for source in ("itk", "slicer")
     ]
 
     np.testing.assert_allclose(1e3 * np.array(places_m), expected_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.txt", "{0}\n{1}\n{2}\n{3}\n"),
+        ("a.csv", "# CT to base\n{0}\n{1}\n{2}\n{3}"),
+        ("a.json", "[[{0}], [{1}], [{2}], [{3}]]"),
+        ("a.json", '{{"T_base_ct": [[{0}], [{1}], [{2}], [{3}]]}}'),
+    ],
+)
+@pytest.mark.parametrize(("unit", "size"), [(None, 1.0), ("mm", 1.0), ("m", 1e-3)])
+def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
+    tmp_path, name, text, unit, size
+):
+    shift_mm = np.array([10.0, 20.0, 30.0])
+    matrix = np.eye(4)
+    matrix[:3] = np.column_stack([TURN, size * shift_mm])
+    separator = " " if name == "a.txt" else ","
+    rows = [separator.join(map(str, row)) for row in matrix.tolist()]
+    (tmp_path / name).write_text(text.format(*rows), encoding="utf-8")
+    point_mm = np.array([4.0, 5.0, -6.0])
+    expected_mm = [TURN @ point + shift_mm for point in (point_mm, point_mm * RAS)]
+    places_m = [
+        read_transform(tmp_path / name, source, unit).carry(1e-3 * point_mm[None])[0]
+        for source in ("itk", "slicer")
+    ]
+
+    np.testing.assert_allclose(1e3 * np.array(places_m), expected_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "word"),
+    [
+        ("a.txt", "1 0 0 0.5\n0 1 0 0.2\n0 0 1 0.1\n0 0 0 1", "--unit"),
+        ("a.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n500 200 100 1", "0 0 0 1"),
+        ("a.txt", "1 0 0 500\n0 1 0 200\n0 0 1 100", "0 0 0 1"),
+        ("a.txt", "1 0 0 nan\n0 1 0 200\n0 0 1 100\n0 0 0 1", "cannot read"),
+        ("a.txt", "1,0 0,0 0,0 500,0\n" * 4, "0 0 0 1"),
+        ("a.txt", "0 1 0 500\n1 0 0 200\n0 0 1 100\n0 0 0 1", "mirror"),
+        ("a.json", '{"a": [[1]], "b": [[1]]}', "0 0 0 1"),
+        ("a.json", "{}", "0 0 0 1"),
+        ("a.json", "[", "0 0 0 1"),
+        ("a.txt", "", "0 0 0 1"),
+        ("a.txt", "1 0 0 inf\n0 1 0 200\n0 0 1 100\n0 0 0 1", "0 0 0 1"),
+        ("a.mat", "MATLAB 5.0 MAT-file", "cannot read"),
+        ("none.json", None, "none"),
+    ],
+)
+def test_text_that_is_no_rigid_matrix_is_refused(tmp_path, capfd, name, text, word):
+    if text is not None:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(VolumeError, match=word):
+        read_transform(tmp_path / name, "itk")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

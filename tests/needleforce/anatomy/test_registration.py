@@ -18,7 +18,7 @@ from needleforce.anatomy import (
     fit_surface,
     require_lps,
 )
-from needleforce.anatomy.landmarks import judge_landmarks
+from needleforce.anatomy.registration import judge_landmarks
 from tests.needleforce.anatomy.made_files import refused_if
 
 FRONT_m = 1e-3 * np.array(
@@ -362,6 +362,25 @@ def test_touches_find_the_surface_among_those_that_slipped():
     for wrong in ((touches_m, far), (slipped_m, start)):
         with pytest.raises(RegistrationError):
             fit_surface(surface, *wrong)
+
+
+def test_a_nearly_symmetric_organ_is_refused_half_a_turn_off():
+    """There it fits as well as where it lies, or the fit turns back."""
+    x, y, z = BALL.vertices.T / 0.06
+    bulge = (1.0 + 0.15 * x + 0.1 * y * z)[:, None] * [0.05, 0.03, 0.07]
+    mesh = trimesh.Trimesh(np.column_stack([x, y, z]) * bulge, BALL.faces)
+    rng = np.random.default_rng(0)
+    points_m, _ = points_on(mesh, rng, mesh.face_normals[:, 1] < -0.1, 100)
+    touches_m = points_m + 0.5e-3 * rng.normal(size=points_m.shape)
+    middle_m = touches_m.mean(axis=0)
+    surface = Surface("organ", mesh.vertices, mesh.faces)
+    for degrees, is_refused in ((5.0, False), (18.0, False), (172.0, True)):
+        turn = Rotation.from_rotvec([0.0, 0.0, degrees], degrees=True).as_matrix()
+        shift_m = middle_m - turn @ middle_m
+        start = Registration(turn, shift_m, np.eye(6), np.zeros(3), 9.0, 0.0)
+        with refused_if(is_refused, "start|fits", RegistrationError):
+            fit = fit_surface(surface, touches_m, start)
+            assert np.linalg.norm(fit.to_robot(np.zeros(3))) < 1.5e-3
 
 
 @pytest.mark.parametrize("shape", ["sphere", "half sphere", "cylinder", "plane"])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from needleforce.anatomy import Grid, PlanState, Volume
-from needleforce.anatomy.needle_surroundings import NeedleClearance
+from needleforce.anatomy.clearance import NeedleClearance
 from needleforce.needle_on_plan import PlanDeviation
 from needleforce.scene import Moment, PlanScene
 
