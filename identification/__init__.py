@@ -17,10 +17,16 @@ from identification.config import (
     MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
+    CheckConfig,
     MixtureConfig,
     PublishedConfig,
 )
-from identification.errors import IdentificationError
+from identification.errors import (
+    IdentificationError,
+    InvalidConfigError,
+    InvalidLogError,
+    InvalidSnapshotError,
+)
 from identification.estimate import (
     Estimate,
     HardContact,
@@ -37,16 +43,21 @@ from identification.published.offline import (
     OfflineIdentification,
     OfflineLayer,
     identify_offline,
+    regression_matrix,
 )
 
 __all__ = [
     "MIXTURE",
     "PUBLISHED",
     "PUBLISHED_KV",
+    "CheckConfig",
     "Estimate",
     "HardContact",
     "IdentificationError",
     "Identifier",
+    "InvalidConfigError",
+    "InvalidLogError",
+    "InvalidSnapshotError",
     "LayerEstimate",
     "LayerSpan",
     "MixtureConfig",
@@ -60,5 +71,6 @@ __all__ = [
     "Snapshot",
     "TissueWarning",
     "identify_offline",
+    "regression_matrix",
     "replay",
 ]

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from groundtruth import simulate
+from needleforce import read_plan
 from needleforce.cli import main
-from needleforce.plan_file import read_plan
 from needleforce.recordings import write_table
 
 TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"

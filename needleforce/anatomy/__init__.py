@@ -30,19 +30,30 @@ from needleforce.anatomy.errors import (
 from needleforce.anatomy.label_files import read_labels
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.landmark_frame import require_lps
-from needleforce.anatomy.landmarks import fit_landmarks
-from needleforce.anatomy.markups import read_transform
+from needleforce.anatomy.landmarks import (
+    LandmarkResidual,
+    fit_landmarks,
+    judge_landmarks,
+)
+from needleforce.anatomy.markups import (
+    Markup,
+    read_markup,
+    read_transform,
+    write_markup,
+)
 from needleforce.anatomy.needle_surroundings import (
     NeedleClearance,
     NeedleSurroundings,
 )
 from needleforce.anatomy.path_layers import Layer
+from needleforce.anatomy.path_search import PathLimits, SkinPath, find_paths
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.registration import Registration
 from needleforce.anatomy.scan_files import read_volume
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import fit_surface
+from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
@@ -51,24 +62,34 @@ __all__ = [
     "FreeSpace",
     "Grid",
     "Labels",
+    "LandmarkResidual",
     "Layer",
+    "Markup",
     "NeedleClearance",
     "NeedleSurroundings",
+    "PathLimits",
     "PlanError",
     "PlanMatch",
     "PlanState",
     "Registration",
     "RegistrationError",
+    "SkinPath",
     "Structure",
     "Surface",
+    "TipTouch",
+    "TouchDetector",
     "Volume",
     "VolumeError",
     "VoxelBoxes",
+    "find_paths",
     "fit_landmarks",
     "fit_surface",
+    "judge_landmarks",
     "read_labels",
+    "read_markup",
     "read_transform",
     "read_volume",
     "require_clear_path",
     "require_lps",
+    "write_markup",
 ]

@@ -44,3 +44,14 @@ from needleforce.devices.arm_limits import (
     ARM_LIMITS as ARM_LIMITS,
     ArmLimits as ArmLimits,
 )
+from needleforce.control.controller import DelayPrediction as DelayPrediction
+from needleforce.control.handle_watch import HandleReading as HandleReading
+from needleforce.control.lag import (
+    Delay as Delay,
+    find_safe_gain as find_safe_gain,
+    measure_lag as measure_lag,
+)
+from needleforce.control.tasks import (
+    JointVelocity as JointVelocity,
+    ToolState as ToolState,
+)

@@ -42,3 +42,9 @@ from needleforce.devices.link import (
 from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
 from needleforce.devices.sunrise import IiwaArm as IiwaArm
 from needleforce.devices.ur import UrArm as UrArm
+from needleforce.devices.emulators import (
+    Emulator as Emulator,
+    FriSettings as FriSettings,
+    emulate_fri as emulate_fri,
+)
+from needleforce.devices.link import Link as Link

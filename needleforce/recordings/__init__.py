@@ -36,3 +36,7 @@ from needleforce.recordings.output import (
     write_table as write_table,
 )
 from needleforce.recordings.table import Table as Table
+from needleforce.recordings.mapping import parse_column_spec as parse_column_spec
+from needleforce.recordings.mapping_suggestion import suggest_mapping as suggest_mapping
+from needleforce.recordings.output import check_outputs as check_outputs
+from needleforce.recordings.table import TableLabels as TableLabels

@@ -15,3 +15,4 @@ from needleforce.scene.moment import (
 from needleforce.scene.nodes import PlanScene as PlanScene
 from needleforce.scene.slicer import SlicerOutput as SlicerOutput
 from needleforce.scene.viewer import Viewer as Viewer
+from needleforce.scene.export_page import export_plan as export_plan

@@ -5,6 +5,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from groundtruth import (
+    PLANT_MODELS,
+    SCENARIOS,
+    MotionError,
+    PlantError,
+    TICK_s,
+    Tissue,
+    TissueForce,
+)
 from groundtruth.arm_control import drive
 from groundtruth.arm_motion import (
     JointMotion,
@@ -22,10 +31,6 @@ from groundtruth.arm_plant import (
     blended_links,
     lwr_bodies,
 )
-from groundtruth.errors import MotionError, PlantError
-from groundtruth.plant_model import PLANT_MODELS, TICK_s
-from groundtruth.scenarios import SCENARIOS
-from groundtruth.tissue import Tissue, TissueForce
 from tests.residual.residual_signals import (
     external_torque_of,
     gravity_of,

@@ -7,16 +7,22 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, Tissue, insert_needle, random_stack, scenario
-from groundtruth.errors import MotionError, ScenarioError
-from groundtruth.materials import TABLE_I_SPEED_M_S
-from groundtruth.motion import (
-    TARE_STROKE_M,
+from groundtruth import (
+    SCENARIOS,
+    ForceNoise,
+    MotionError,
+    ScenarioError,
+    Tissue,
     Tremor,
     constant_motion,
+    insert_needle,
+    random_stack,
+    scenario,
     sinusoidal_motion,
 )
-from groundtruth.plant_model import MINI45, ForceNoise
+from groundtruth.materials import TABLE_I_SPEED_M_S
+from groundtruth.motion import TARE_STROKE_M
+from groundtruth.plant_model import MINI45
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)

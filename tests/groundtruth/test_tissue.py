@@ -8,16 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundtruth.errors import TissueError
-from groundtruth.layers import CUTTING_ONSET_M, ShaftFriction
-from groundtruth.materials import (
+from groundtruth import (
     BOVINE_CAPSULE,
     BOVINE_LIVER,
-    GEL_TIP_FORCE_N,
     GLOVE,
+    ShaftFriction,
+    Tissue,
+    TissueError,
     gel,
 )
-from groundtruth.tissue import UNLOADING_M, Tissue, bristle_step
+from groundtruth.layers import CUTTING_ONSET_M
+from groundtruth.materials import GEL_TIP_FORCE_N
+from groundtruth.tissue import UNLOADING_M, bristle_step
 
 SPEED = 2.3e-3
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}

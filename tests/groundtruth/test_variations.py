@@ -4,13 +4,18 @@ else."""
 import numpy as np
 import pytest
 
-from groundtruth import insert_needle, random_stack
-from groundtruth.errors import ScenarioError
-from groundtruth.layers import KEPT_FADE_M, Texture
-from groundtruth.materials import gel
-from groundtruth.scenarios import random_tissue, scenario
-from groundtruth.tissue import Tissue
-from groundtruth.variations import TissueVariation
+from groundtruth import (
+    ScenarioError,
+    Texture,
+    Tissue,
+    TissueVariation,
+    gel,
+    insert_needle,
+    random_stack,
+    random_tissue,
+    scenario,
+)
+from groundtruth.layers import KEPT_FADE_M
 
 SPEED = 2.3e-3
 

@@ -5,11 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from groundtruth import Layer, Stroke, Tissue
 from groundtruth.arm_motion import LWR_POSTURE_rad, insertion_path, needle_down
-from groundtruth.layers import Layer
-from groundtruth.motion import Stroke
-from groundtruth.tissue import Tissue
-from residual.tool_kinematics import ToolKinematics
+from residual import ToolKinematics
 from urdf import Robot, load_lwr
 
 DT_S = 2e-3

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from groundtruth.materials import gel
+from groundtruth import gel
 from identification.channel import ChannelFriction
 from needleforce import (
     Identifier,
@@ -24,7 +24,7 @@ from needleforce.needle_channels import (
     find_channel,
 )
 from needleforce.tip_travel import TipTravel, TravelZero
-from residual.tool_kinematics import ToolKinematics
+from residual import ToolKinematics
 from tests.insertion_run import same
 from tests.needleforce.needle_trips import DT_S, Trip
 

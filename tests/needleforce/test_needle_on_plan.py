@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from needleforce import InsertionSession
+from needleforce import InsertionSession, PlannedPath, session_events
 from needleforce.anatomy import Layer, PlanMatch, Registration
-from needleforce.control.handle_watch import HandleReading, HandleReport
-from needleforce.control.monitors import Beside, Monitors, SafetyLimits
-from needleforce.control.state_machine import State
-from needleforce.insertion_events import session_events
-from needleforce.needle_on_plan import PlannedPath, describe_deviation
+from needleforce.control import Beside, HandleReading, HandleReport, SafetyLimits, State
+from needleforce.control.monitors import Monitors
+from needleforce.needle_on_plan import describe_deviation
 from needleforce.scene.words import describe_state, describe_tissue, find_banner
 from tests.insertion_run import following, insert, short_run, stopped_after, tare_index
 

@@ -9,11 +9,9 @@ import pinocchio as pin
 import pytest
 
 from benchmarks.insertion.signals import JointSignals, measured_travel
-from identification import MixtureConfig, SampleStatus
-from identification.config import CheckConfig
+from identification import CheckConfig, MixtureConfig, SampleStatus
 from needleforce import InsertionError, InsertionSession
-from residual import DEFAULT, SensorWarning, Status, TareError
-from residual.tool_kinematics import ToolKinematics
+from residual import DEFAULT, SensorWarning, Status, TareError, ToolKinematics
 from tests.insertion_run import (
     insert,
     resumed_after,

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
-from identification.identifier import Identifier
+from identification import PUBLISHED, PUBLISHED_KV, Identifier, PublishedConfig
 from identification.published.online import (
     NO_WINDOWS,
     PublishedMethod,

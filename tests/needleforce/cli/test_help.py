@@ -7,7 +7,7 @@ from inspect import signature
 import pytest
 
 from needleforce.cli import commands, main, options
-from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings import CHANNELS
 from needleforce.session_replay import AUTOMATIC_TARE_S
 from residual import DEFAULT
 from urdf import load_example

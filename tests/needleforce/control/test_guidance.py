@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion.methods import on_lwr
-from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_contacts import HandOnArm
+from groundtruth import HandOnArm, SimulatedArm
 from needleforce.control import (
     AxialSpeed,
     Controller,

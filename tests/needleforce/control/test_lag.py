@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from needleforce.control import ControlError, Limits
-from needleforce.control.lag import Delay, find_safe_gain, measure_lag
+from needleforce.control import ControlError, Delay, Limits, find_safe_gain, measure_lag
 from tests.needleforce.control.late_arm import DT_s, LateArm
 from urdf import NeedleTool, load_lwr
 

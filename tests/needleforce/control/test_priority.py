@@ -15,15 +15,17 @@ from needleforce.control import (
     AxialSpeed,
     Controller,
     Fixture,
+    JointVelocity,
     Limits,
     Posture,
     RemoteCentre,
     SettingError,
     TipVelocity,
+    ToolState,
 )
 from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.priority_solver import Stack, hierarchical, solve_level
-from needleforce.control.tasks import JointVelocity, MAX_STEP_s, ToolState
+from needleforce.control.tasks import MAX_STEP_s
 from needleforce.devices.rate_limiter import write_velocity_bounds
 from tests.needleforce.control.late_arm import LateArm, follow
 from urdf import NeedleTool, load_lwr

@@ -8,20 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundtruth import sensors
-from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import CLEAN, DEGRADED, FRI, IDEAL, TICK_s
-from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
-from groundtruth.rig_contacts import (
+from groundtruth import (
     HandOnArm,
+    PlantError,
+    PlantModelError,
     PointMotion,
+    SimulatedArm,
+    TICK_s,
+    Tissue,
     Trocar,
     Wall,
-    distance_to_axis_m,
+    sensors,
 )
-from groundtruth.tissue import Tissue
-from needleforce.control.tasks import ToolState
+from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
+from groundtruth.plant_model import CLEAN, DEGRADED, FRI, IDEAL
+from groundtruth.rig_arm import with_kinematic_error
+from groundtruth.rig_contacts import distance_to_axis_m
+from needleforce.control import ToolState
 from urdf import NeedleTool
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundtruth.rig_line import DelayLine
-from groundtruth.rig_operator import HapticMaster, Operator, random_operator
+from groundtruth import DelayLine, HapticMaster, Operator, random_operator
 from needleforce.control import HandleReport, HandleWatch, SettingError
 from needleforce.control.passivity import HandPort, NeedlePort, Port
 from needleforce.control.teleoperation import shown_force

@@ -7,10 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth import SimulatedArm
 from needleforce.control import Controller, Limits, Posture, SettingError
-from needleforce.devices import FriArm, LinkError
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
+from needleforce.devices import Emulator, FriArm, FriSettings, LinkError, emulate_fri
 from tests.needleforce.devices.scripted_arms import KINDS
 from urdf import NeedleTool, load_lwr
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleforce.devices import LinkError, link
-from needleforce.devices.arm_limits import ARM_LIMITS
+from needleforce.devices import ARM_LIMITS, LinkError, link
 from needleforce.devices.guard import Guard
 from tests.needleforce.devices.scripted_arms import KINDS
 from urdf import load_example, load_lwr

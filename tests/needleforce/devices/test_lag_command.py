@@ -9,8 +9,8 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.cli.arms import arm_lag
-from needleforce.control.lag import measure_lag
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
+from needleforce.control import measure_lag
+from needleforce.devices import Emulator, FriSettings, emulate_fri
 
 
 @pytest.fixture
