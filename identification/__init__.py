@@ -13,6 +13,7 @@ the published method, online and offline, in `published`; `channel` (a needle th
 back to its channel).
 """
 
+from foundation.errors import Suspicion
 from identification.config import (
     MIXTURE,
     PUBLISHED,
@@ -69,6 +70,7 @@ __all__ = [
     "RuptureState",
     "SampleStatus",
     "Snapshot",
+    "Suspicion",
     "TissueWarning",
     "identify_offline",
     "regression_matrix",

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         SessionEvent as SessionEvent,
         session_events as session_events,
     )
+    from needleforce.needle_channels import ChannelState as ChannelState
     from needleforce.needle_on_plan import (
         PlanDeviation as PlanDeviation,
         PlannedPath as PlannedPath,
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
         read_snapshot as read_snapshot,
         write_snapshot as write_snapshot,
     )
-    from needleforce.tare_run import AutoTare as AutoTare
+    from needleforce.tare_run import AutoTare as AutoTare, TareRun as TareRun
     from residual import (
         SensorConfig as SensorConfig,
         SensorWarning as SensorWarning,
@@ -101,6 +102,7 @@ _NAMES_OF = {
         "replay",
     ),
     "needleforce.insertion_events": ("SessionEvent", "session_events"),
+    "needleforce.needle_channels": ("ChannelState",),
     "needleforce.needle_on_plan": ("PlanDeviation", "PlannedPath"),
     "needleforce.plan_file": ("PlanFileError", "read_plan"),
     "needleforce.recorder": ("Recorder", "RecorderError"),
@@ -113,7 +115,7 @@ _NAMES_OF = {
         "read_snapshot",
         "write_snapshot",
     ),
-    "needleforce.tare_run": ("AutoTare",),
+    "needleforce.tare_run": ("AutoTare", "TareRun"),
     "residual": (
         "SensorConfig",
         "SensorWarning",

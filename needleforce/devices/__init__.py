@@ -39,7 +39,11 @@ from needleforce.devices.link import (
     ReplayArm as ReplayArm,
     pace as pace,
 )
-from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
+from needleforce.devices.rdt import (
+    NetFT as NetFT,
+    Scale as Scale,
+    describe_status as describe_status,
+)
 from needleforce.devices.sunrise import IiwaArm as IiwaArm
 from needleforce.devices.ur import UrArm as UrArm
 from needleforce.devices.emulators import (

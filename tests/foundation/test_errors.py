@@ -5,7 +5,7 @@ import traceback
 
 import pytest
 
-from foundation.errors import Suspicion
+from identification import Suspicion
 from needleforce import NeedleforceError
 
 

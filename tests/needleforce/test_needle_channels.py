@@ -9,6 +9,7 @@ import pytest
 from groundtruth import gel
 from identification.channel import ChannelFriction
 from needleforce import (
+    ChannelState,
     Identifier,
     InsertionSession,
     SessionEstimate,
@@ -17,7 +18,6 @@ from needleforce import (
 )
 from needleforce.insertion_course import follow_needle
 from needleforce.needle_channels import (
-    ChannelState,
     NeedleChannel,
     OldChannel,
     add_channel,
