@@ -184,6 +184,17 @@ def test_speed_lag_smooths_over_the_true_time(whole):
             assert ours.speed_m_s == pytest.approx(theirs.speed_m_s, rel=0.2)
 
 
+def test_the_identifier_gets_depths_that_are_as_late_as_the_force():
+    session, rows = resumed_after(TARE + 3000, 100)
+    last = updated(session, rows)[-1]
+    travel = session.snapshot().course.travel
+    late_m = travel.depth_m - travel.delayed_depth_m
+
+    assert travel.depth_m == last.depth_m
+    assert late_m == pytest.approx(session.lag_s * last.speed_m_s, rel=0.05)
+    assert late_m > 1e-5
+
+
 @pytest.mark.parametrize("speed_lag_s", [-1.0, np.inf])
 def test_a_lag_that_cannot_be_is_refused(speed_lag_s):
     with pytest.raises(InsertionError, match="speed_lag_s"):

@@ -32,6 +32,17 @@ def test_an_injected_delay_is_measured(cycles, lost):
     assert not arm.sent[-1].any()
 
 
+def test_the_tip_of_a_long_needle_moves_by_no_more_than_5_mm():
+    """By the sum of what the single joints move it."""
+    robot = load_lwr(payload=NeedleTool(needle_length_m=2.5))
+    arm = LateArm(robot, HOME_rad, 5)
+    reach_m_per_rad = np.linalg.norm(arm.tool.jacobian[:3], axis=0).sum()
+    measure_lag(arm, robot, Limits(robot), 2.0)
+    turned_rad = np.abs(np.array(arm.positions_rad) - HOME_rad).max()
+
+    assert turned_rad * reach_m_per_rad == pytest.approx(5e-3, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("faults", "match"),
     [
