@@ -185,14 +185,15 @@ def test_speed_lag_smooths_over_the_true_time(whole):
 
 
 def test_the_identifier_gets_depths_that_are_as_late_as_the_force():
-    session, rows = resumed_after(TARE + 3000, 100)
+    session, rows = resumed_after(TARE, 600)
     last = updated(session, rows)[-1]
     travel = session.snapshot().course.travel
     late_m = travel.depth_m - travel.delayed_depth_m
 
     assert travel.depth_m == last.depth_m
-    assert late_m == pytest.approx(session.lag_s * last.speed_m_s, rel=0.05)
-    assert late_m > 1e-5
+    assert last.speed_m_s > 2e-3
+    # The depth is noisy.
+    assert late_m == pytest.approx(session.lag_s * last.speed_m_s, rel=0.3)
 
 
 @pytest.mark.parametrize("speed_lag_s", [-1.0, np.inf])
