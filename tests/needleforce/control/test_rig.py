@@ -23,6 +23,7 @@ from groundtruth import (
 )
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from needleforce.control import ToolState
+from tests.residual.residual_signals import jacobian_of
 from urdf import NeedleTool
 
 IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
@@ -42,18 +43,10 @@ def run(rig, seconds, velocity=lambda t_s, rig: REST):
     return samples
 
 
-def jacobian(robot, q_rad, frame):
-    data = robot.create_data()
-    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    return pin.computeFrameJacobian(
-        robot.model, data, q_rad, robot.frame_id(frame), axes
-    )
-
-
 def down(speed_m_s):
     """Commands that move the tip down, by the Jacobian at home."""
     rig = SimulatedArm(plant=IDEAL)
-    inverse = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
+    inverse = np.linalg.pinv(jacobian_of(rig.robot, rig.home_rad, "needle_tip"))
     return lambda t_s, rig: inverse[:, :3] @ (speed_m_s * DOWN)
 
 
@@ -76,7 +69,7 @@ def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
     robot = held.robot
     frame = robot.flange_frame if at == "hub" else robot.model.names[joint]
     gravity = pin.rnea(robot.model, robot.create_data(), truth.q_rad, REST, REST)
-    expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push_N
+    expected = gravity - jacobian_of(robot, truth.q_rad, frame)[:3].T @ push_N
 
     np.testing.assert_allclose(truth.tau_Nm, expected, atol=2e-3)
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
@@ -88,7 +81,7 @@ def test_a_tip_force_bends_the_arm_as_expected():
     free, held = push_arm("tip", push_N)
     truth = held.truth
     measured_N = truth.rotation @ (held.ft_wrench - free.ft_wrench)[:3]
-    rows = jacobian(held.robot, truth.q_rad, "needle_tip")[:3]
+    rows = jacobian_of(held.robot, truth.q_rad, "needle_tip")[:3]
     mass = pin.crba(held.robot.model, held.robot.create_data(), truth.q_rad)
     bent_m = rows @ np.linalg.solve(200.0**2 * mass, rows.T) @ push_N
 
@@ -112,7 +105,7 @@ def test_elastic_contacts_conserve_energy():
     )
     plant = ArmPlant(bodies, air, touching=[wall, trocar, hand])
     rig = SimulatedArm(plant=IDEAL)
-    towards = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
+    towards = np.linalg.pinv(jacobian_of(rig.robot, rig.home_rad, "needle_tip"))
     plant.place(rig.home_rad, towards[:, :3] @ (0.1 * DOWN))
     model = bodies.model()
     data = model.createData()
