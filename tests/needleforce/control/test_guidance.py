@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.insertion.methods import on_lwr
 from groundtruth import HandOnArm, SimulatedArm
 from needleforce.control import (
     AxialSpeed,
@@ -18,9 +17,9 @@ from needleforce.control import (
     Posture,
     SettingError,
 )
-from residual import DEFAULT, Status, VirtualForceSensor
+from residual import DEFAULT, BiasPrior, Status, VirtualForceSensor
 from tests.needleforce.control.late_arm import DT_s, LateArm, follow
-from urdf import NeedleTool, load_example, load_lwr
+from urdf import LWR_GEAR_RATIO, NeedleTool, load_example, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
 SIGMA = np.full(7, 0.01)
@@ -171,9 +170,9 @@ def guide_simulated_arm(plant, stiffness_N_per_m, way_m, seconds):
     control.tool.update(arm.home_rad)
     line = Fixture.here(control.tool)
     guidance = Guidance(arm.robot)
-    sensor = VirtualForceSensor(
-        arm.robot, on_lwr(replace(DEFAULT, smooth_momentum=False))
-    )
+    known = {"alignment": "hold", "prior": BiasPrior(gear_ratio=LWR_GEAR_RATIO)}
+    config = replace(DEFAULT, smooth_momentum=False, **known)
+    sensor = VirtualForceSensor(arm.robot, config)
     rows = []
     for sample in arm:
         wrench = sensor.update(*sample[1:], sample.dt_s)
