@@ -47,7 +47,7 @@ from needleforce.anatomy.needle_surroundings import (
 )
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.path_search import PathLimits, SkinPath, find_paths
-from needleforce.anatomy.plan_match import PlanMatch, PlanState
+from needleforce.anatomy.plan_match import OUTSIDE, PlanMatch, PlanState
 from needleforce.anatomy.registration import Registration
 from needleforce.anatomy.scan_files import read_volume
 from needleforce.anatomy.structures import Structure
@@ -57,6 +57,7 @@ from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
+    "OUTSIDE",
     "AnatomyError",
     "Clearance",
     "FreeSpace",

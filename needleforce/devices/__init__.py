@@ -23,6 +23,11 @@ from needleforce.devices.arm_names import (
     connect_arm as connect_arm,
     parse_arm_name as parse_arm_name,
 )
+from needleforce.devices.emulators import (
+    Emulator as Emulator,
+    FriSettings as FriSettings,
+    emulate_fri as emulate_fri,
+)
 from needleforce.devices.errors import (
     DeviceError as DeviceError,
     DeviceSettingError as DeviceSettingError,
@@ -34,6 +39,7 @@ from needleforce.devices.fri import FriArm as FriArm
 from needleforce.devices.haply import HaplyMaster as HaplyMaster
 from needleforce.devices.link import (
     ArmReading as ArmReading,
+    Link as Link,
     LinkReport as LinkReport,
     MasterReading as MasterReading,
     ReplayArm as ReplayArm,
@@ -46,9 +52,3 @@ from needleforce.devices.rdt import (
 )
 from needleforce.devices.sunrise import IiwaArm as IiwaArm
 from needleforce.devices.ur import UrArm as UrArm
-from needleforce.devices.emulators import (
-    Emulator as Emulator,
-    FriSettings as FriSettings,
-    emulate_fri as emulate_fri,
-)
-from needleforce.devices.link import Link as Link

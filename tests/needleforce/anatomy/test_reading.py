@@ -10,10 +10,10 @@ from needleforce.anatomy import (
     Volume,
     VolumeError,
     read_labels,
+    read_markup,
     read_transform,
     read_volume,
 )
-from needleforce.anatomy.markups import read_markup
 from tests.needleforce.anatomy import made_files as made
 
 TURN = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
