@@ -1,6 +1,7 @@
 """The needle against the plan: needles aside are found, none on the plan is accused."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -304,3 +305,16 @@ def test_an_advance_that_has_left_the_plan_is_stopped(
 
     assert situation.state is (State.STOPPED if is_stopped else state)
     assert (verdict in situation.reason) is is_stopped
+
+
+def test_what_is_said_of_a_needle_beside_its_plan_is_its_deviation():
+    tip_m = ENTRY_m + 5e-3 * SIDE + 0.03 * AXIS
+    manager, sensor = inserting(limits=SafetyLimits(axial_N=2.0, stop_off_plan=True))
+    deviation = exact(0.2e-3).deviation(tip_m, AXIS)
+    sensor.estimate = sensor.estimate._replace(deviation=deviation)
+    reason = run(manager, 0.01).reason
+
+    # At the entry, at the tip, the angle, and the way that is left, each ± deviation.
+    assert re.findall(r"\d+\.\d", reason) == [
+        *("5.0", "0.2", "5.0", "0.2", "0.0", "0.1", "50.0", "0.2"),
+    ]
