@@ -7,7 +7,7 @@ The needle makes a stroke in free air, rests for the tare, and makes the stroke 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth import SimulatedArm
 from needleforce import InsertionSession, control
 from residual import Status
 

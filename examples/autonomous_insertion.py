@@ -7,7 +7,7 @@ The needle is to stop once it has left the first layer. Not a medical device.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth import SimulatedArm
 from needleforce import InsertionSession, control
 
 arm = SimulatedArm("stack-glove-constant", standoff_m=5e-3, duration_s=25.0)

@@ -7,8 +7,7 @@ The arm yields to a hand on the needle's hub, which it feels through its joint t
 import matplotlib.pyplot as plt
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_contacts import HandOnArm
+from groundtruth import HandOnArm, SimulatedArm
 from needleforce import control
 from residual import SensorConfig, Status, VirtualForceSensor
 

@@ -7,8 +7,7 @@ The entry is a remote centre of motion; the tip draws a circle below it.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_contacts import Trocar
+from groundtruth import SimulatedArm, Trocar
 from needleforce import control
 
 ENTRY_m = 0.08  # height of the entry above the tip

@@ -7,8 +7,7 @@ the friction of the shaft.
 
 import matplotlib.pyplot as plt
 
-from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_operator import HapticMaster, Operator
+from groundtruth import HapticMaster, Operator, SimulatedArm
 from needleforce import InsertionSession, control
 
 HAND_SPEED_m_s = 12e-3

@@ -8,7 +8,7 @@ the stack of tasks, only the part along the needle is followed.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth import SimulatedArm
 from needleforce import control
 
 JOYSTICK_m_s = (0.01, 0.005, -0.02)  # aside, and down along the needle

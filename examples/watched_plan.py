@@ -8,9 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from groundtruth import simulate
-from needleforce import InsertionSession
+from needleforce import InsertionSession, PlannedPath
 from needleforce.anatomy import Layer, PlanMatch
-from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene, open_viewer
 
 STANDOFF_m = 5e-3  # from the tip to the gel's surface at the tare

@@ -13,14 +13,21 @@ the published method, online and offline, in `published`; `channel` (a needle th
 back to its channel).
 """
 
+from foundation.errors import Suspicion
 from identification.config import (
     MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
+    CheckConfig,
     MixtureConfig,
     PublishedConfig,
 )
-from identification.errors import IdentificationError
+from identification.errors import (
+    IdentificationError,
+    InvalidConfigError,
+    InvalidLogError,
+    InvalidSnapshotError,
+)
 from identification.estimate import (
     Estimate,
     HardContact,
@@ -37,16 +44,21 @@ from identification.published.offline import (
     OfflineIdentification,
     OfflineLayer,
     identify_offline,
+    regression_matrix,
 )
 
 __all__ = [
     "MIXTURE",
     "PUBLISHED",
     "PUBLISHED_KV",
+    "CheckConfig",
     "Estimate",
     "HardContact",
     "IdentificationError",
     "Identifier",
+    "InvalidConfigError",
+    "InvalidLogError",
+    "InvalidSnapshotError",
     "LayerEstimate",
     "LayerSpan",
     "MixtureConfig",
@@ -58,7 +70,9 @@ __all__ = [
     "RuptureState",
     "SampleStatus",
     "Snapshot",
+    "Suspicion",
     "TissueWarning",
     "identify_offline",
+    "regression_matrix",
     "replay",
 ]

@@ -24,6 +24,7 @@ from os.path import dirname, join, realpath
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from foundation.errors import NeedleforceError as NeedleforceError
     from identification import (
         Estimate as Estimate,
         Identifier as Identifier,
@@ -32,6 +33,23 @@ if TYPE_CHECKING:
         PublishedConfig as PublishedConfig,
         Rupture as Rupture,
         replay as replay,
+    )
+    from needleforce.insertion_events import (
+        SessionEvent as SessionEvent,
+        session_events as session_events,
+    )
+    from needleforce.needle_channels import ChannelState as ChannelState
+    from needleforce.needle_on_plan import (
+        PlanDeviation as PlanDeviation,
+        PlannedPath as PlannedPath,
+    )
+    from needleforce.plan_file import (
+        PlanFileError as PlanFileError,
+        read_plan as read_plan,
+    )
+    from needleforce.recorder import (
+        Recorder as Recorder,
+        RecorderError as RecorderError,
     )
     from needleforce.session import (
         InsertionSession as InsertionSession,
@@ -45,7 +63,7 @@ if TYPE_CHECKING:
         read_snapshot as read_snapshot,
         write_snapshot as write_snapshot,
     )
-    from needleforce.tare_run import AutoTare as AutoTare
+    from needleforce.tare_run import AutoTare as AutoTare, TareRun as TareRun
     from residual import (
         SensorConfig as SensorConfig,
         SensorWarning as SensorWarning,
@@ -73,6 +91,7 @@ for _name in ("foundation", "urdf", "residual", "identification", "groundtruth")
         )
 
 _NAMES_OF = {
+    "foundation.errors": ("NeedleforceError",),
     "identification": (
         "Estimate",
         "Identifier",
@@ -82,6 +101,11 @@ _NAMES_OF = {
         "Rupture",
         "replay",
     ),
+    "needleforce.insertion_events": ("SessionEvent", "session_events"),
+    "needleforce.needle_channels": ("ChannelState",),
+    "needleforce.needle_on_plan": ("PlanDeviation", "PlannedPath"),
+    "needleforce.plan_file": ("PlanFileError", "read_plan"),
+    "needleforce.recorder": ("Recorder", "RecorderError"),
     "needleforce.session": ("InsertionSession", "SessionEstimate"),
     "needleforce.session_replay": ("replay_session",),
     "needleforce.session_snapshot": (
@@ -91,7 +115,7 @@ _NAMES_OF = {
         "read_snapshot",
         "write_snapshot",
     ),
-    "needleforce.tare_run": ("AutoTare",),
+    "needleforce.tare_run": ("AutoTare", "TareRun"),
     "residual": (
         "SensorConfig",
         "SensorWarning",

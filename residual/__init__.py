@@ -18,6 +18,7 @@ from residual.errors import (
 from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.momentum_observer import MomentumObserver
+from residual.tool_kinematics import ToolKinematics
 from residual.velocity_filter import VelocityEstimator
 from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
@@ -40,6 +41,7 @@ __all__ = [
     "SnapshotError",
     "Status",
     "TareError",
+    "ToolKinematics",
     "VelocityEstimator",
     "VirtualForceSensor",
     "WrenchEstimate",

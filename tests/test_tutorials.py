@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from groundtruth import simulate
+from needleforce import read_plan
 from needleforce.cli import main
-from needleforce.plan_file import read_plan
 from needleforce.recordings import write_table
 
 TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"
@@ -43,12 +43,6 @@ def commands(name):
     ]
 
 
-def print_of(arguments, capsys):
-    code = main(arguments)
-    out, err = capsys.readouterr()
-    return code, out + err
-
-
 def shortened(arguments):
     """Arguments of a command, with the beginning of each recording in its place."""
     inputs = [name for name in arguments[1:2] if Path(name).is_file()]
@@ -69,65 +63,57 @@ def is_like(shown, printed):
     )
 
 
-def require_shown(answer, printed):
-    """Refuse a line of a page that is like none of the printed ones."""
-    for shown in answer.splitlines():
-        start = shown.removesuffix("...").rstrip()
-        lines = [
-            line[: len(start)] if "..." in shown else line
-            for line in printed.splitlines()
-        ]
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run a command; each line of an answer must be like one that is printed."""
+    monkeypatch.chdir(tmp_path)
 
-        assert any(is_like(start, line) for line in lines), shown
+    def run(arguments, answer, said=""):
+        code = main(arguments)
+        printed = said + "".join(capsys.readouterr())
+
+        assert code == (2 if answer.startswith("error: ") else 0)
+
+        for shown in answer.splitlines():
+            start = shown.removesuffix("...").rstrip()
+            lines = [
+                line[: len(start)] if "..." in shown else line
+                for line in printed.splitlines()
+            ]
+
+            assert any(is_like(start, line) for line in lines), shown
+        return printed
+
+    return run
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["csv", "arm-log"])
-def test_the_commands_of_a_recording_print_what_is_shown(
-    name, tmp_path, monkeypatch, capsys
-):
+def test_the_commands_of_a_recording_print_what_is_shown(name, run):
     pytest.importorskip("matplotlib")
-    monkeypatch.chdir(tmp_path)
     for arguments, answer in commands(name):
-        code, printed = print_of(arguments if answer else shortened(arguments), capsys)
-
-        assert code == (2 if answer.startswith("error: ") else 0)
-
-        require_shown(answer, printed)
+        run(arguments if answer else shortened(arguments), answer)
 
 
 @pytest.mark.slow
-def test_a_recording_of_the_live_arm_prints_what_is_shown(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_recording_of_the_live_arm_prints_what_is_shown(run):
     """The recording is what the emulated controller sends, without the network."""
     pytest.importorskip("matplotlib")
-    monkeypatch.chdir(tmp_path)
     signals = simulate("gel-25-constant", plant="clean").signals
     sent = {"t_s": signals.t_s, "q_rad": signals.q_rad, "tau_Nm": signals.tau_Nm}
     write_table("live.csv", {name: values[:40_000] for name, values in sent.items()})
     said = ""
     for arguments, answer in commands("live-arm"):
         if arguments[0] in ("force", "identify"):
-            code, printed = print_of(arguments, capsys)
-            said += printed
-
-            assert code == 0
-
-            require_shown(answer, said)
+            said = run(arguments, answer, said)
 
 
 @pytest.mark.slow
-def test_the_plan_of_the_page_is_the_one_shown(tmp_path, monkeypatch, capsys):
+def test_the_plan_of_the_page_is_the_one_shown(run):
     pytest.importorskip("SimpleITK")
-    monkeypatch.chdir(tmp_path)
     for arguments, answer in commands("ct-to-needle"):
         if arguments[0] in ("simulate", "plan") and "sim" not in arguments[1]:
-            code, printed = print_of(arguments, capsys)
-
-            assert code == 0
-
-            require_shown(answer, printed)
+            run(arguments, answer)
         if arguments[0] == "plan":
             return
 

@@ -20,6 +20,7 @@ from urdf.errors import (
     UrdfError,
     UrdfFileError,
 )
+from urdf.joint_choice import joints_towards, movable_joints
 from urdf.loading import (
     LWR_GEAR_RATIO,
     example_robot_path,
@@ -47,7 +48,9 @@ __all__ = [
     "build_robot",
     "example_robot_path",
     "identify_payload_static",
+    "joints_towards",
     "load_example",
     "load_lwr",
     "load_urdf",
+    "movable_joints",
 ]

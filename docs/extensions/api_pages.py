@@ -54,13 +54,6 @@ PACKAGES = {
 }
 """Packages that offer names, in the order of the site."""
 
-CLOSED_LOOP = (
-    "groundtruth.rig_arm",
-    "groundtruth.rig_contacts",
-    "groundtruth.rig_operator",
-)
-"""Modules with public names that their package does not repeat."""
-
 INDEX = """API
 ===
 
@@ -157,16 +150,6 @@ def is_definition(value: Any) -> bool:
     return is_own and isinstance(getattr(value, "__module__", None), str)
 
 
-def defined_names(module_name: str) -> list[PublicName]:
-    """Return the public classes and functions that a module defines."""
-    module = import_module(module_name)
-    return [
-        PublicName(name, module_name, module_name)
-        for name, value in vars(module).items()
-        if getattr(value, "__module__", "") == module_name and not name.startswith("_")
-    ]
-
-
 def reading_order(package_name: str) -> list[str]:
     """Return the names of modules in the order of the package's docstring."""
     docstring = import_module(package_name).__doc__ or ""
@@ -261,10 +244,6 @@ def page_of(package_name: str) -> str:
     if others:
         page += heading("Offered here too", "-")
         page += "".join(f"* :py:obj:`{item.home}.{item.name}`\n" for item in others)
-    if package_name == "groundtruth":
-        for module in CLOSED_LOOP:
-            page += heading(f"``{module}``", "-") + f"{first_line(module)}\n\n"
-            page += "\n".join(map(directive_of, defined_names(module))) + "\n"
     return page
 
 

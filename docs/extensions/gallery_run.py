@@ -10,8 +10,7 @@ from cycler import cycler
 from sphinx_gallery.sorting import ExplicitOrder
 
 import groundtruth
-from needleforce.plots import palette
-from needleforce.plots.drawing import STYLE
+from needleforce.plots import STYLE, palette
 
 COLOURS = (palette.BLUE, palette.VERMILION, palette.GREEN, palette.PURPLE)
 SIZE_inch = (5.4, 3.2)  # text is legible on a telephone too

@@ -11,13 +11,17 @@ Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `priority_s
 `teleoperation`.
 """
 
-from needleforce.control.controller import Controller as Controller
+from needleforce.control.controller import (
+    Controller as Controller,
+    DelayPrediction as DelayPrediction,
+)
 from needleforce.control.errors import (
     ControlError as ControlError,
     SettingError as SettingError,
 )
 from needleforce.control.guidance import Guidance as Guidance
 from needleforce.control.handle_watch import (
+    HandleReading as HandleReading,
     HandleReport as HandleReport,
     HandleWatch as HandleWatch,
 )
@@ -26,6 +30,11 @@ from needleforce.control.insertion_profile import (
     InsertionProfile as InsertionProfile,
 )
 from needleforce.control.joint_limits import Limits as Limits
+from needleforce.control.lag import (
+    Delay as Delay,
+    find_safe_gain as find_safe_gain,
+    measure_lag as measure_lag,
+)
 from needleforce.control.manager import Manager as Manager, Situation as Situation
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
 from needleforce.control.run import Tick as Tick, run as run
@@ -34,10 +43,12 @@ from needleforce.control.tare_stroke import tare_with_stroke as tare_with_stroke
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     Fixture as Fixture,
+    JointVelocity as JointVelocity,
     Posture as Posture,
     RemoteCentre as RemoteCentre,
     Task as Task,
     TipVelocity as TipVelocity,
+    ToolState as ToolState,
 )
 from needleforce.control.teleoperation import Teleoperation as Teleoperation
 from needleforce.devices.arm_limits import (

@@ -23,6 +23,11 @@ from needleforce.devices.arm_names import (
     connect_arm as connect_arm,
     parse_arm_name as parse_arm_name,
 )
+from needleforce.devices.emulators import (
+    Emulator as Emulator,
+    FriSettings as FriSettings,
+    emulate_fri as emulate_fri,
+)
 from needleforce.devices.errors import (
     DeviceError as DeviceError,
     DeviceSettingError as DeviceSettingError,
@@ -34,11 +39,16 @@ from needleforce.devices.fri import FriArm as FriArm
 from needleforce.devices.haply import HaplyMaster as HaplyMaster
 from needleforce.devices.link import (
     ArmReading as ArmReading,
+    Link as Link,
     LinkReport as LinkReport,
     MasterReading as MasterReading,
     ReplayArm as ReplayArm,
     pace as pace,
 )
-from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
+from needleforce.devices.rdt import (
+    NetFT as NetFT,
+    Scale as Scale,
+    describe_status as describe_status,
+)
 from needleforce.devices.sunrise import IiwaArm as IiwaArm
 from needleforce.devices.ur import UrArm as UrArm

@@ -33,4 +33,8 @@ from needleforce.plots.page import (
     settings_table as settings_table,
     write_page as write_page,
 )
+from needleforce.plots.plan_slices import (
+    draw_along as draw_along,
+    draw_probe_view as draw_probe_view,
+)
 from needleforce.plots.report_folder import whole_folder as whole_folder

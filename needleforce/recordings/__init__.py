@@ -24,15 +24,19 @@ from needleforce.recordings.mapping import (
     ColumnSpec as ColumnSpec,
     load_layouts as load_layouts,
     load_mapping as load_mapping,
+    parse_column_spec as parse_column_spec,
 )
+from needleforce.recordings.mapping_suggestion import suggest_mapping as suggest_mapping
 from needleforce.recordings.open_recording import (
     columns_of as columns_of,
     read_log as read_log,
     read_table as read_table,
 )
 from needleforce.recordings.output import (
+    check_outputs as check_outputs,
     check_writable as check_writable,
+    open_table as open_table,
     write_log as write_log,
     write_table as write_table,
 )
-from needleforce.recordings.table import Table as Table
+from needleforce.recordings.table import Table as Table, TableLabels as TableLabels

@@ -20,20 +20,6 @@ from needleforce.recordings.errors import (
     readable_path,
 )
 
-FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
-"""What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable
-force."""
-
-WORTHLESS = {
-    "frozen": 2,
-    "joint limit": 8,
-    "near singular": 16,
-    "model mismatch": 32,
-    "tare expired": 64,
-    "velocity": 128,
-}
-"""Bits of the column `force_warnings` that make a force worthless to an identifier."""
-
 
 class Units(dict[str, float]):
     """The units of a quantity, each with its factor to SI; the first is SI.

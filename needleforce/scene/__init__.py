@@ -6,6 +6,7 @@ Reading order: `moment` (what a loop hands over), `words` (a moment in words), `
 loop), `slicer` (OpenIGTLink).
 """
 
+from needleforce.scene.export_page import export_plan as export_plan
 from needleforce.scene.live import LiveView as LiveView, open_viewer as open_viewer
 from needleforce.scene.moment import (
     Moment as Moment,

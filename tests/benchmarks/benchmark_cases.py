@@ -4,9 +4,7 @@ from dataclasses import replace
 
 from benchmarks.campaign import make_frame
 from benchmarks.judging import COLUMNS, unit_of
-from groundtruth import Scenario
-from groundtruth.materials import gel
-from groundtruth.motion import constant_motion
+from groundtruth import Scenario, constant_motion, gel
 
 
 def make_results(*rows):

@@ -5,7 +5,8 @@ import traceback
 
 import pytest
 
-from foundation.errors import NeedleforceError, Suspicion
+from identification import Suspicion
+from needleforce import NeedleforceError
 
 
 class DoorError(NeedleforceError, OSError):

@@ -5,9 +5,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from groundtruth.arm_control import drive
+from groundtruth import (
+    PLANT_MODELS,
+    SCENARIOS,
+    MotionError,
+    TICK_s,
+    TissueForce,
+)
 from groundtruth.arm_motion import (
-    JointMotion,
     LWR_POSTURE_rad,
     insertion_path,
     joint_excitation,
@@ -22,10 +27,6 @@ from groundtruth.arm_plant import (
     blended_links,
     lwr_bodies,
 )
-from groundtruth.errors import MotionError, PlantError
-from groundtruth.plant_model import PLANT_MODELS, TICK_s
-from groundtruth.scenarios import SCENARIOS
-from groundtruth.tissue import Tissue, TissueForce
 from tests.residual.residual_signals import (
     external_torque_of,
     gravity_of,
@@ -121,20 +122,6 @@ def test_joint_speed_is_the_derivative_of_position():
     assert (np.abs(free.q_rad) < ROBOT.position_upper_rad).all()
     assert not free.dq_rad_s[[0, -1]].any()
     assert np.abs(np.diff(free.dq_rad_s, axis=0)).max() / TICK_s < 2.0
-
-
-@pytest.mark.slow
-def test_controller_follows_fast_motion_or_reports_it_lost():
-    bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
-    plant = plant_in(Tissue(()), bodies)
-    motion = joint_excitation(START, 10.0)
-    trace = drive(plant, bodies.model(), motion)
-    jump = np.repeat([START, START + 1.0], (500, 502), axis=0)
-
-    assert np.abs(trace.q_rad - motion.q_rad[:-1]).max() < 1e-6
-    assert not trace.external_torque_Nm.any()
-    with pytest.raises(PlantError, match="off its motion at tick 500"):
-        drive(plant, bodies.model(), JointMotion(jump, np.zeros_like(jump)))
 
 
 class Push:

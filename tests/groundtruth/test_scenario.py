@@ -7,16 +7,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, Tissue, insert_needle, random_stack, scenario
-from groundtruth.errors import MotionError, ScenarioError
-from groundtruth.materials import TABLE_I_SPEED_M_S
-from groundtruth.motion import (
-    TARE_STROKE_M,
+from groundtruth import (
+    SCENARIOS,
+    ForceNoise,
+    MotionError,
+    ScenarioError,
+    Tissue,
     Tremor,
     constant_motion,
+    insert_needle,
+    random_stack,
+    scenario,
     sinusoidal_motion,
 )
-from groundtruth.plant_model import MINI45, ForceNoise
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)
@@ -65,7 +68,7 @@ def test_tare_is_in_air_and_withdrawal_mirrors_insertion(motion):
     outward = motion.position_m(motion.withdrawal_start_s + s)
 
     assert (motion.position_m(np.append(tare_s, end_s)) < 0.0).all()
-    assert np.ptp(motion.position_m(tare_s)) == pytest.approx(TARE_STROKE_M)
+    assert np.ptp(motion.position_m(tare_s)) == pytest.approx(0.1)
     assert [s for previous, s in pairwise(signs) if s and s != previous] == [1, -1, 1]
     assert motion.withdrawal_start_s - motion.insertion_end_s == pytest.approx(2.0)
     assert outward == pytest.approx(inward, abs=1e-12)
@@ -193,12 +196,12 @@ def test_ruptures_are_the_papers_in_order(runs, name, count):
 def test_free_motion_reads_the_stated_noise(runs):
     run = runs["free-motion"]
     white_std_N = np.diff(run.force_N).std() / np.sqrt(2.0)
-    steps = run.force_N / MINI45.step_N
+    steps = 256.0 * run.force_N
 
     assert not run.truth.axial_N.any()
     assert run.truth.ruptures == ()
     assert np.isnan([run.truth.contact_s, run.truth.withdrawn_s]).all()
-    assert white_std_N == pytest.approx(MINI45.white_std_N, rel=0.05)
+    assert white_std_N == pytest.approx(0.01, rel=0.05)
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
@@ -258,7 +261,7 @@ def test_unusable_settings_are_refused_by_name(value):
 def test_drawn_stacks_are_physical_and_rupture_everywhere():
     layers = [layer for stack in DRAWN for layer in stack.layers]
     with_membrane = np.mean([layer.membrane is not None for layer in layers])
-    friction = [layer.friction.sliding_N_per_m(TABLE_I_SPEED_M_S) for layer in layers]
+    friction = [layer.friction.sliding_N_per_m(2.3e-3) for layer in layers]
 
     assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}

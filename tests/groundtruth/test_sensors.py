@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.signal import welch
 
-from groundtruth import sensors
+from groundtruth import PLANT_MODELS, TICK_s, sensors
 from groundtruth.arm_plant import (
     STRIBECK_PEAK,
     BearingFriction,
     PRESLIDING_rad,
     STRIBECK_SPEED_rad_s,
 )
-from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from urdf import LWR_GEAR_RATIO
 
 IDEAL = PLANT_MODELS["ideal"]

@@ -7,11 +7,19 @@ import pinocchio as pin
 import pytest
 from scipy.signal import lfilter
 
-from groundtruth import PLANT_MODELS, Run, Scenario, simulate
-from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.materials import gel
-from groundtruth.motion import Motion, Move, chain_strokes
-from groundtruth.plant_model import TICK_s
+from groundtruth import (
+    PLANT_MODELS,
+    Motion,
+    Move,
+    PlantError,
+    PlantModelError,
+    Run,
+    Scenario,
+    TICK_s,
+    chain_strokes,
+    gel,
+    simulate,
+)
 from tests.insertion_run import same
 
 GAIN_PER_S = 50.0

@@ -4,15 +4,20 @@ else."""
 import numpy as np
 import pytest
 
-from groundtruth import insert_needle, random_stack
-from groundtruth.errors import ScenarioError
-from groundtruth.layers import KEPT_FADE_M, Texture
-from groundtruth.materials import gel
-from groundtruth.scenarios import random_tissue, scenario
-from groundtruth.tissue import Tissue
-from groundtruth.variations import TissueVariation
+from groundtruth import (
+    ScenarioError,
+    Texture,
+    Tissue,
+    TissueVariation,
+    gel,
+    insert_needle,
+    random_stack,
+    random_tissue,
+    scenario,
+)
 
 SPEED = 2.3e-3
+FADE_M = 5e-3
 
 
 def varied(layer, **change):
@@ -69,11 +74,11 @@ def test_kept_tip_force_fades_after_an_internal_rupture():
     extra = np.array([b.tip_N - a.tip_N for a, b in zip(plain, held, strict=True)])
     onset = gel(70).thickness_m
     at_release = np.interp(onset + gel(70).release_m, depth, extra)
-    remaining = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
+    remaining = (1.0 - gel(70).release_m / FADE_M) ** 2
 
     assert not extra[depth < onset].any()
     assert at_release == pytest.approx(0.6 * gel(70).exit_force_N * remaining, rel=0.02)
-    assert np.abs(extra[depth > onset + KEPT_FADE_M]).max() < 1e-12
+    assert np.abs(extra[depth > onset + FADE_M]).max() < 1e-12
 
 
 def test_friction_follows_powers_of_length_and_speed():

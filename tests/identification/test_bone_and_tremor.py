@@ -5,9 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundtruth import insert_needle, random_stack, scenario
-from groundtruth.layers import Layer, ShaftFriction
-from groundtruth.motion import Tremor, constant_motion
+from groundtruth import (
+    Layer,
+    ShaftFriction,
+    Tremor,
+    constant_motion,
+    insert_needle,
+    random_stack,
+    scenario,
+)
 from identification import Identifier, MixtureConfig, TissueWarning
 from identification.mixture.block import Block
 from identification.mixture.needle_swing import NeedleSwing, update_swing

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from groundtruth import insert_needle
-from identification import MIXTURE, Identifier, MixtureConfig, SampleStatus, replay
-from identification.config import CheckConfig
+from identification import (
+    MIXTURE,
+    CheckConfig,
+    Identifier,
+    MixtureConfig,
+    SampleStatus,
+    replay,
+)
 from tests.identification.worlds import (
     SPEED_M_S,
     THICKNESS_M,

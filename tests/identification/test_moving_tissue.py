@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundtruth import insert_needle, random_stack, scenario
-from groundtruth.motion import constant_motion
-from groundtruth.scenarios import TissueMotion as TrueMotion
-from groundtruth.scenarios import Wave
+from groundtruth import TissueMotion as TrueMotion
+from groundtruth import Wave, constant_motion, insert_needle, random_stack, scenario
 from identification import Identifier, SampleStatus, TissueWarning, replay
 from identification.mixture.block import Block
 from identification.mixture.motion_fit import Fit, displacement, turned

@@ -22,6 +22,16 @@ def test_friction_at_a_stop_is_within_its_deviation(kept_friction):
     assert np.mean((np.abs(shown_N - friction_N) <= 2.0 * std_N)[is_rest]) > 0.95
 
 
+def test_a_force_that_a_long_rest_leaves_is_split_as_before():
+    t_s = np.arange(0.0, 40.0, 8e-3)
+    depth_m = np.clip(3e-3 * (t_s - 2.0), 0.0, 40e-3)
+    force_N = 20.0 * depth_m + np.where(depth_m > 0.0, 0.6, 0.0)
+    found = replay(t_s, depth_m, noisy(force_N, 5e-3, 0)).estimates
+    advancing = found[int(np.argmax(depth_m == 40e-3)) - 25]
+
+    assert found[-1].tip_force_N == pytest.approx(advancing.tip_force_N, abs=0.1)
+
+
 def test_friction_may_let_go_at_rest():
     _, estimates = run(insertion([(12e-3, 3.0), (0.0, 1.5)], seed=5))
     resting = estimates[4400]

@@ -13,13 +13,14 @@ from identification import (
     MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
+    CheckConfig,
     Identifier,
+    InvalidConfigError,
+    InvalidSnapshotError,
     MixtureConfig,
     PublishedConfig,
     SampleStatus,
 )
-from identification.config import CheckConfig
-from identification.errors import InvalidConfigError, InvalidSnapshotError
 from tests.identification.worlds import numbers_of, rows_of, run
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)

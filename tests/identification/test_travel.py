@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foundation.records import as_record, from_record
-from identification.config import CheckConfig
+from identification import CheckConfig
 from identification.mixture.speed_filter import FIRST_SPEED_FILTER, filter_speed
 from identification.travel_filter import (
     TravelState,

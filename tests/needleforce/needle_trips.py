@@ -5,11 +5,15 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from groundtruth.arm_motion import LWR_POSTURE_rad, insertion_path, needle_down
-from groundtruth.layers import Layer
-from groundtruth.motion import Stroke
-from groundtruth.tissue import Tissue
-from residual.tool_kinematics import ToolKinematics
+from groundtruth import Layer, Stroke, Tissue
+from groundtruth.arm_motion import (
+    LWR_POSTURE_rad,
+    insertion_path,
+    needle_down,
+    reach_pose,
+)
+from residual import ToolKinematics
+from tests.residual.residual_signals import pose_of
 from urdf import Robot, load_lwr
 
 DT_S = 2e-3
@@ -86,21 +90,9 @@ class Trip:
 
     def move_aside(self, aside_m: tuple[float, float], seconds: float) -> None:
         """Move across the needle, without a turn."""
-        robot = self.robot
-        data = robot.create_data()
-        posture = self._q.copy()
-        pin.framesForwardKinematics(robot.model, data, posture)
-        target = data.oMf[robot.tool_frame_id] * pin.SE3(
-            np.eye(3), np.array([*aside_m, 0.0])
-        )
-        for _ in range(20):
-            pin.framesForwardKinematics(robot.model, data, posture)
-            error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
-            jacobian = pin.computeFrameJacobian(
-                robot.model, data, posture, robot.tool_frame_id
-            )
-            posture = posture + np.linalg.pinv(jacobian) @ error
-        self._go_to(posture, seconds)
+        step = pin.SE3(np.eye(3), np.array([*aside_m, 0.0]))
+        target = pose_of(self.robot, self._q) * step
+        self._go_to(reach_pose(self.robot, self._q, target), seconds)
 
     def _go_to(self, posture: np.ndarray, seconds: float) -> None:
         """Move the joints straight to a posture."""

@@ -76,24 +76,8 @@ def approach_twice(log):
     )
 
 
-def still_in_front(log):
-    count = round(RATE_HZ)
-    noise_Nm = 0.01 * np.random.default_rng(1).normal(size=(count, 7))
-    return ArmLog(
-        np.append(log.t_s[0] + np.arange(-count, 0) / RATE_HZ, log.t_s),
-        np.vstack((np.tile(log.q_rad[0], (count, 1)), log.q_rad)),
-        np.vstack((np.zeros((count, 7)), log.dq_rad_s)),
-        np.vstack((log.tau_Nm[0] + noise_Nm, log.tau_Nm)),
-        log.tare_end_s,
-    )
-
-
 CHANGES = {
     "the arm turned about the vertical": turn_about_vertical,
-    "time begins at 1.7e9 s": lambda log: log._replace(
-        t_s=log.t_s + 1.7e9, tare_end_s=log.tare_end_s + 1.7e9
-    ),
-    "a still second in front": still_in_front,
     "no samples of the approach": miss_approach,
     "the approach twice": approach_twice,
     "half the rate": lambda log: log.rows(slice(None, None, 2)),

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from groundtruth.materials import gel
+from groundtruth import gel
 from identification.channel import ChannelFriction
 from needleforce import (
+    ChannelState,
     Identifier,
     InsertionSession,
     SessionEstimate,
@@ -17,14 +18,13 @@ from needleforce import (
 )
 from needleforce.insertion_course import follow_needle
 from needleforce.needle_channels import (
-    ChannelState,
     NeedleChannel,
     OldChannel,
     add_channel,
     find_channel,
 )
 from needleforce.tip_travel import TipTravel, TravelZero
-from residual.tool_kinematics import ToolKinematics
+from residual import ToolKinematics
 from tests.insertion_run import same
 from tests.needleforce.needle_trips import DT_S, Trip
 

@@ -8,12 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks.insertion.signals import JointSignals, measured_travel
-from identification import MixtureConfig, SampleStatus
-from identification.config import CheckConfig
+from identification import CheckConfig, MixtureConfig, SampleStatus
 from needleforce import InsertionError, InsertionSession
-from residual import DEFAULT, SensorWarning, Status, TareError
-from residual.tool_kinematics import ToolKinematics
+from residual import DEFAULT, SensorWarning, Status, TareError, ToolKinematics
 from tests.insertion_run import (
     insert,
     resumed_after,
@@ -22,6 +19,7 @@ from tests.insertion_run import (
     short_run,
     tare_index,
 )
+from tests.residual.residual_signals import jacobian_of, pose_of
 
 RUN = short_run()
 TARE = tare_index(RUN)
@@ -66,27 +64,35 @@ def test_the_chain_finds_force_depth_and_layer(whole):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("with_velocity", [True, False])
-def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
-    end = TARE + 4000
-    sent = RUN.signals
-    estimates = whole[1]
-    if not with_velocity:
-        estimates = insert(InsertionSession(RUN.robot), end, with_velocity=False)
-    dq = sent.dq_rad_s if with_velocity else None
-    signals = JointSignals(
-        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm
-    )
-    offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
-    compared = slice(TARE, end + 1)
-    depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in estimates[compared]]).T
-    true_m = RUN.truth.depth_m[compared] - RUN.truth.depth_m[TARE]
-    # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
-    tolerance_m, tolerance_m_s = (2e-5, 2e-6) if with_velocity else (8e-5, 1e-4)
+def test_depth_and_speed_are_those_of_the_measured_joints(whole):
+    _, estimates = whole
+    q_rad = RUN.signals.q_rad
+    start = pose_of(RUN.robot, q_rad[TARE])
+    axis = start.rotation[:, 2]
+    for k in range(TARE, TARE + 4000, 50):
+        pose = pose_of(RUN.robot, q_rad[k])
+        along = pose.rotation[:, 2] @ jacobian_of(RUN.robot, q_rad[k])[:3]
 
-    np.testing.assert_allclose(depth, offline_m[compared], atol=tolerance_m)
-    np.testing.assert_allclose(speed, offline_m_s[compared], atol=tolerance_m_s)
-    np.testing.assert_allclose(depth, true_m, atol=1e-4)
+        # The zero is noisy by a sample's worth.
+        assert estimates[k].depth_m == pytest.approx(
+            axis @ (pose.translation - start.translation), abs=2e-5
+        )
+        assert estimates[k].speed_m_s == pytest.approx(
+            along @ RUN.signals.dq_rad_s[k], abs=1e-12
+        )
+
+
+@pytest.mark.slow
+def test_without_velocities_depth_and_speed_are_true_and_10_ms_late():
+    end = TARE + 4000
+    session = InsertionSession(RUN.robot)
+    estimates = insert(session, end, with_velocity=False)[TARE + 210 :]
+    depth_m, speed_m_s = np.array([(e.depth_m, e.speed_m_s) for e in estimates]).T
+    true_m = RUN.truth.depth_m[TARE + 200 : end - 9] - RUN.truth.depth_m[TARE - 10]
+    true_m_s = RUN.truth.speed_m_s[TARE + 200 : end - 9]
+
+    np.testing.assert_allclose(depth_m, true_m, atol=2e-5)
+    np.testing.assert_allclose(speed_m_s, true_m_s, atol=1e-3)
 
 
 @pytest.mark.slow
@@ -184,6 +190,18 @@ def test_speed_lag_smooths_over_the_true_time(whole):
         theirs = other.update(q, dq, tau, dt_s)
         if k % 10 == 0 and k >= 1030:
             assert ours.speed_m_s == pytest.approx(theirs.speed_m_s, rel=0.2)
+
+
+def test_the_identifier_gets_depths_that_are_as_late_as_the_force():
+    session, rows = resumed_after(TARE, 600)
+    last = updated(session, rows)[-1]
+    travel = session.snapshot().course.travel
+    late_m = travel.depth_m - travel.delayed_depth_m
+
+    assert travel.depth_m == last.depth_m
+    assert last.speed_m_s > 2e-3
+    # The depth is noisy.
+    assert late_m == pytest.approx(session.lag_s * last.speed_m_s, rel=0.3)
 
 
 @pytest.mark.parametrize("speed_lag_s", [-1.0, np.inf])

@@ -8,7 +8,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from foundation.state import MAX_FILE_BYTES
 from identification import MIXTURE, PUBLISHED, RuptureState
 from needleforce import (
     InsertionError,
@@ -172,7 +171,6 @@ def test_files_that_are_no_snapshots_are_refused(tmp_path):
         (bytes(flipped), "damaged"),
         (content[:1000], "cut short"),
         (b"", "no state"),
-        (bytes(MAX_FILE_BYTES + 1), "no state"),
     ]:
         path.write_bytes(changed)
         with pytest.raises(SnapshotFileError, match=match):

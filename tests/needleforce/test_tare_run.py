@@ -4,8 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from needleforce import AutoTare, InsertionSession
-from needleforce.tare_run import TareRun
+from needleforce import AutoTare, InsertionSession, TareRun
 from residual import Status, TareError
 from tests.insertion_run import samples, short_run, tare_index
 

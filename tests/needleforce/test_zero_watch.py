@@ -3,13 +3,13 @@
 from itertools import islice
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from identification import MIXTURE, PUBLISHED
 from needleforce import InsertionSession, SensorWarning
 from needleforce.zero_watch import AirWatch
 from tests.insertion_run import samples, short_run, tare_index
+from tests.residual.residual_signals import jacobian_of
 
 STD_N = 0.02
 
@@ -48,19 +48,15 @@ def insertion(weight_kg=0.0, config=MIXTURE):
     """Estimates of 5 s in tissue, whose payload is gripped anew after the tare, the
     first sample in tissue, and the doubt of the force."""
     run = short_run()
-    robot = run.robot
-    data = robot.model.createData()
     tare = tare_index(run)
     touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
-    session = InsertionSession(robot, identifier_config=config)
+    session = InsertionSession(run.robot, identifier_config=config)
     estimates = []
     for k, (q, dq, tau, dt_s) in islice(samples(run), touched + 5_001):
         if k == tare:
             session.tare()
         if k % 20 == 0:
-            jacobian = pin.computeFrameJacobian(
-                robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
-            )
+            jacobian = jacobian_of(run.robot, q)
         onset = min(max((k - tare - 200) / 300.0, 0.0), 1.0)
         heavier = tau + jacobian[2] * weight_kg * 9.81 * onset
         estimates.append(session.update(q, dq, heavier, dt_s))

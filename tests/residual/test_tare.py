@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foundation.steps import finish
+from groundtruth import PLANT_MODELS
 from groundtruth.arm_plant import BearingFriction
-from groundtruth.plant_model import CLEAN
 from residual import (
     BiasPrior,
     ConfigurationError,
@@ -154,7 +154,8 @@ def rubbed_rows(robot, seed, factor=1.0, force_of=np.zeros_like):
     coulomb_Nm = 0.02 * factor * 5.0**octaves
     rng = np.random.default_rng(seed)
     viscous = (0.3 * coulomb_Nm.max(),) * 7
-    model = replace(CLEAN, joint_coulomb=1.0, joint_viscous_Nms_per_rad=viscous)
+    clean = PLANT_MODELS["clean"]
+    model = replace(clean, joint_coulomb=1.0, joint_viscous_Nms_per_rad=viscous)
     bearings = BearingFriction(model, coulomb_Nm, rng)
     q = MIDDLE + place(T_S)[:, None] * REACH_RAD
     dq = np.gradient(q, DT_S, axis=0)

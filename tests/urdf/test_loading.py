@@ -16,9 +16,10 @@ from urdf import (
     UnsupportedJointError,
     UrdfFileError,
     description,
+    joints_towards,
     load_urdf,
+    movable_joints,
 )
-from urdf.joint_choice import joints_towards, movable_joints
 
 ORIGIN = '<origin xyz="0 0 0.1"/>'
 MASS = '<mass value="1"/>'

@@ -26,8 +26,9 @@ from needleforce.cli.options import IdentificationOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
 from needleforce.recordings import Log
-from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
-from needleforce.session_replay import SensorReplay
+from needleforce.session import UNUSABLE
+from needleforce.session_replay import STATUS_CODES, SensorReplay
+from residual import Status
 
 METHODS = {
     "mixture": MIXTURE,
@@ -154,12 +155,12 @@ def usable_force(log: Log) -> tuple[Array, dict[str, int]]:
         The force, shape (n,), and how many rows were left out, by the reason.
     """
     zeros = np.zeros(len(log))
-    is_marked = log.channels.get("force_status", zeros) != FORCE_STATUS.index("ok")
+    is_marked = log.channels.get("force_status", zeros) != STATUS_CODES[Status.OK]
     flags = np.nan_to_num(log.channels.get("force_warnings", zeros)).astype(np.int64)
-    is_doubtful = (flags & sum(WORTHLESS.values())) != 0
+    is_doubtful = (flags & UNUSABLE) != 0
     counts = {
         "whose status says that the force is not tared or not settled": is_marked,
-        f"with a warning ({', '.join(WORTHLESS)})": is_doubtful & ~is_marked,
+        f"with a warning ({UNUSABLE})": is_doubtful & ~is_marked,
     }
     ignored = {reason: int(rows.sum()) for reason, rows in counts.items() if rows.any()}
     return np.where(is_marked | is_doubtful, np.nan, log["force_N"]), ignored

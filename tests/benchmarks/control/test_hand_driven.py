@@ -10,7 +10,7 @@ from benchmarks.control.hand_driven import (
     Teleinsertion,
     ruptures_felt,
 )
-from groundtruth.tissue import Rupture
+from groundtruth import Rupture
 
 
 def test_the_hand_reaches_the_travel_in_strokes():

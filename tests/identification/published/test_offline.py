@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from identification.errors import InvalidConfigError, InvalidLogError
-from identification.published.offline import (
+from identification import (
+    InvalidConfigError,
+    InvalidLogError,
     LayerSpan,
     identify_offline,
     regression_matrix,

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
-from identification.identifier import Identifier
+from identification import PUBLISHED, PUBLISHED_KV, Identifier, PublishedConfig
 from identification.published.online import (
     NO_WINDOWS,
     PublishedMethod,
@@ -151,6 +150,24 @@ def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     assert (layer.friction_Ns_per_m2, layer.stiffness_N_per_m) == pytest.approx(
         (9000.0, stiffness), rel=1e-3
     )
+    assert layer.friction_N == pytest.approx(
+        9000.0 * 0.03 * layer.rupture.speed_m_s, rel=1e-3
+    )
+
+
+def test_a_noiseless_kelvin_voigt_layer_is_identified_exactly():
+    t_s = np.arange(0.0, 15.0, DT_S)
+    v = SPEED + 0.8e-3 * np.sin(2.0 * np.pi * t_s / 5.0)
+    z = np.cumsum(v) * DT_S - 1e-3
+    reach = np.clip(z, 0.0, 0.03)
+    begun = np.minimum(reach / 5e-3, 1.0)
+    f = 100.0 * v * begun + np.where(reach < 0.03, 60.0 * reach, 0.0)
+    (layer,) = run(z, f, PUBLISHED_KV, speed_m_s=v)[0].layers
+
+    assert (layer.friction_Ns_per_m2, layer.stiffness_N_per_m) == pytest.approx(
+        (100.0, 60.0), rel=1e-6
+    )
+    assert layer.friction_N == pytest.approx(100.0 * layer.rupture.speed_m_s)
 
 
 def test_an_unmeasured_speed_is_estimated_from_depth():

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from groundtruth.torso import analytic_torso
+from groundtruth import analytic_torso
 from needleforce.anatomy import (
     Grid,
     Labels,

@@ -13,13 +13,17 @@ import numpy as np
 import pytest
 
 from identification import Identifier, Rupture
-from needleforce import InsertionError, InsertionSession, read_snapshot, write_snapshot
-from needleforce.anatomy import Layer, PlanMatch
-from needleforce.anatomy.plan_match import OUTSIDE
+from needleforce import (
+    InsertionError,
+    InsertionSession,
+    PlannedPath,
+    read_snapshot,
+    write_snapshot,
+)
+from needleforce.anatomy import OUTSIDE, Layer, PlanMatch
 from needleforce.cli import main
 from needleforce.cli.arms import arm_connection, arm_watch
-from needleforce.devices.link import Link
-from needleforce.needle_on_plan import PlannedPath
+from needleforce.devices import Link
 from needleforce.plan_follower import PlanFollower
 from needleforce.tip_travel import TravelZero
 from tests.insertion_run import (

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from needleforce import PlannedPath
 from needleforce.cli.arms.arm_watch import describe_values
 from needleforce.cli.logs.plan_found import add_place_on_plan
 from needleforce.cli.logs.result import Result
-from needleforce.control.monitors import Monitors, SafetyLimits
-from needleforce.control.state_machine import State
+from needleforce.control import SafetyLimits, State
+from needleforce.control.monitors import Monitors
 from needleforce.needle_on_plan import (
-    PlannedPath,
     describe_clearances,
     describe_deviation,
     state_values,

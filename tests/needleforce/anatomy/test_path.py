@@ -9,20 +9,22 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from groundtruth.torso import analytic_torso
+from groundtruth import analytic_torso
 from needleforce.anatomy import (
     FreeSpace,
     Grid,
     Labels,
     NeedleSurroundings,
+    PathLimits,
     PlanError,
     Registration,
     Structure,
     VolumeError,
     VoxelBoxes,
+    find_paths,
     require_clear_path,
 )
-from needleforce.anatomy.path_search import PathLimits, find_paths, judge_line
+from needleforce.anatomy.path_search import judge_line
 
 X_m = np.array([1e-3, 0.0, 0.0])
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import SimpleITK
 
-from needleforce.anatomy.markups import read_markup, write_markup
+from needleforce import PlanFileError, read_plan
+from needleforce.anatomy import read_markup, write_markup
 from needleforce.cli import main
-from needleforce.plan_file import PlanFileError, read_plan
 from tests.needleforce.anatomy import made_files as made
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ from needleforce.anatomy import (
     Volume,
     VolumeError,
     read_labels,
+    read_markup,
     read_transform,
     read_volume,
 )
-from needleforce.anatomy.markups import read_markup
 from tests.needleforce.anatomy import made_files as made
 
 RAS = [-1.0, -1.0, 1.0]

@@ -16,9 +16,9 @@ from needleforce.anatomy import (
     Surface,
     fit_landmarks,
     fit_surface,
+    judge_landmarks,
     require_lps,
 )
-from needleforce.anatomy.registration import judge_landmarks
 from tests.needleforce.anatomy.made_files import refused_if
 
 FRONT_m = 1e-3 * np.array(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needleforce.anatomy.touch_detector import TouchDetector
+from needleforce.anatomy import TouchDetector
 
 DT_s = 5e-3
 ZERO_N = np.zeros(3)

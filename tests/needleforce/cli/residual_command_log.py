@@ -6,8 +6,7 @@ import re
 import numpy as np
 
 from needleforce.cli import main
-from needleforce.recordings import write_table
-from needleforce.recordings.table import TableLabels
+from needleforce.recordings import TableLabels, write_table
 from tests.residual.residual_signals import external_torque_of, pose_of, swing
 
 CONTACT_S = 2.8

@@ -6,9 +6,9 @@ import re
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.demos import insertion
 from tests.insertion_run import simulated
 
+DEMO = "needleforce.cli.demos.insertion"
 pytestmark = pytest.mark.slow
 
 GEL_m = 28.2e-3  # thickness of the gel of 25 %, as its authors measured it
@@ -23,9 +23,9 @@ def demo(tmp_path_factory):
     said = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(insertion, "SCENARIO", "gel-25-constant")
-        patch.setattr(insertion, "simulate", simulated)
-        patch.setattr(insertion, "write_out", said.append)
+        patch.setattr(f"{DEMO}.SCENARIO", "gel-25-constant")
+        patch.setattr(f"{DEMO}.simulate", simulated)
+        patch.setattr(f"{DEMO}.write_out", said.append)
         assert main(["demo"]) == 0
     return "".join(said), folder / "demo" / "index.html"
 
@@ -94,7 +94,7 @@ def test_a_place_that_is_taken_is_refused_before_the_work(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
-    monkeypatch.setattr(insertion, "demonstrate", lambda seed: pytest.fail("worked"))
+    monkeypatch.setattr(f"{DEMO}.demonstrate", lambda seed: pytest.fail("worked"))
 
     assert main(["demo", "--report", "taken"]) == 2
     assert "taken" in capsys.readouterr().err

@@ -7,8 +7,7 @@ from inspect import signature
 import pytest
 
 from needleforce.cli import commands, main, options
-from needleforce.recordings.channels import CHANNELS
-from needleforce.session_replay import AUTOMATIC_TARE_S
+from needleforce.recordings import CHANNELS
 from residual import DEFAULT
 from urdf import load_example
 
@@ -61,7 +60,6 @@ def test_defaults_of_the_sensor_are_those_of_its_config(capsys):
     text = help_of("force", capsys)
 
     assert f"(lag 1/K; default: {DEFAULT.gain_per_s:g})" in text
-    assert f"the first {AUTOMATIC_TARE_S:g} s after the filters have settled" in text
 
 
 @pytest.mark.parametrize("kind", [options.JointColumns, options.DepthColumns])

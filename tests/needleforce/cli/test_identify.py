@@ -10,14 +10,11 @@ from matplotlib.axes import Axes
 
 from groundtruth import insert_needle
 from identification import replay
-from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.terminal import INTERRUPTED
 from needleforce.recordings import write_table
-from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.simulation import signal_table
 from residual import DEFAULT as SENSOR
-from residual import SensorWarning, Status
+from residual import SensorWarning
 from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import short_run
 from tests.needleforce.cli.residual_command_log import refusal
@@ -153,30 +150,31 @@ def test_an_interrupted_report_leaves_the_page_that_was_there(
 
     monkeypatch.setattr(Axes, "plot", stop)
 
-    assert main(["report", str(log), str(folder)]) == INTERRUPTED
+    assert main(["report", str(log), str(folder)]) == 130
     assert {file.name: file.read_text() for file in folder.iterdir()} == {
         "index.html": "of yesterday"
     }
 
 
-def test_codes_match_sensor_and_session():
-    assert tuple(status.value for status in Status) == FORCE_STATUS
-
-    for word, bit in WORTHLESS.items():
-        assert SensorWarning[word.upper().replace(" ", "_")] == bit
-
-    assert sum(WORTHLESS.values()) == session.UNUSABLE
-
-
 def test_marked_rows_are_counted_and_ignored(needle, identify):
-    count = len(needle["t_s"])
-    status, warnings = np.zeros((2, count))
+    unusable = (
+        SensorWarning.FROZEN,
+        SensorWarning.JOINT_LIMIT,
+        SensorWarning.NEAR_SINGULAR,
+        SensorWarning.MODEL_MISMATCH,
+        SensorWarning.TARE_EXPIRED,
+        SensorWarning.VELOCITY,
+    )
+    each = list(SensorWarning)
+    status, warnings = np.zeros((2, len(needle["t_s"])))
     status[:4] = [0.0, 1.0, 2.0, 3.0]
-    warnings[4:6] = [5.0, 32.0 + 1.0]
+    warnings[4 : 4 + len(each)] = each
     rows, _, said = identify(force_status=status, force_warnings=warnings)
+    used = rows["used"][: 4 + len(each)]
 
-    assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
-    assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]
+    assert used[:4].tolist() == [1, 0, 0, 0]
+    assert used[4:].tolist() == [warning not in unusable for warning in each]
+    assert re.findall(r"were left out: (\d+)", said) == ["3", "6"]
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.recordings import write_table
-from residual import SensorConfig
-from residual.tool_kinematics import ToolKinematics
+from residual import SensorConfig, ToolKinematics
 from tests.insertion_run import cut, short_run
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 
 from groundtruth import SCENARIOS
 from needleforce.cli import main
-from needleforce.cli.logs import simulated_log as command
 from needleforce.recordings import read_log, read_table
 from needleforce.simulation import truth_table
 from tests.insertion_run import cut, short_run
@@ -36,7 +35,7 @@ def asked(run, monkeypatch, tmp_path):
         asked.append((chosen.id, plant, seed))
         return run
 
-    monkeypatch.setattr(command, "simulate", simulated)
+    monkeypatch.setattr("needleforce.cli.logs.simulated_log.simulate", simulated)
     monkeypatch.chdir(tmp_path)
     return asked
 

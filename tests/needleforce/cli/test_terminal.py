@@ -13,14 +13,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from needleforce.cli import main
+from needleforce.cli import CommandError, main, run_command
 from needleforce.cli.terminal import (
     FAILED,
     INTERRUPTED,
     READER_GONE,
-    CommandError,
     progress_bar,
-    run_command,
     say,
     stop_request,
     write_out,

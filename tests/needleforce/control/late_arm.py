@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from needleforce.control import Posture, RemoteCentre, TipVelocity
-from needleforce.control.tasks import ToolState
+from needleforce.control import Posture, RemoteCentre, TipVelocity, ToolState
 
 DT_s = 1e-3
 NO_FAULTS = {

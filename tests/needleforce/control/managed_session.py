@@ -2,11 +2,17 @@
 
 import numpy as np
 
-from groundtruth.rig_arm import ArmSample
+from groundtruth import ArmSample
 from identification import SampleStatus
 from needleforce import InsertionSession
-from needleforce.control import Beside, HandleReport, Manager, SafetyLimits, State
-from needleforce.control.handle_watch import HandleReading
+from needleforce.control import (
+    Beside,
+    HandleReading,
+    HandleReport,
+    Manager,
+    SafetyLimits,
+    State,
+)
 from residual import SensorConfig, SensorWarning, Status, TareError
 from urdf import load_lwr
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from needleforce.control import Controller, Limits, SettingError
-from needleforce.control.controller import DelayPrediction
+from needleforce.control import Controller, DelayPrediction, Limits, SettingError
 from tests.needleforce.control.late_arm import LateArm, turn_about_entry
 from urdf import NeedleTool, load_lwr
 

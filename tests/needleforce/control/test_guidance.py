@@ -7,9 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.insertion.methods import on_lwr
-from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_contacts import HandOnArm
+from groundtruth import HandOnArm, SimulatedArm
 from needleforce.control import (
     AxialSpeed,
     Controller,
@@ -19,10 +17,9 @@ from needleforce.control import (
     Posture,
     SettingError,
 )
-from needleforce.control.guidance import LWR_DAMPING_Nms, find_damping_of_arm
-from residual import DEFAULT, Status, VirtualForceSensor
+from residual import DEFAULT, BiasPrior, Status, VirtualForceSensor
 from tests.needleforce.control.late_arm import DT_s, LateArm, follow
-from urdf import NeedleTool, load_example, load_lwr
+from urdf import LWR_GEAR_RATIO, NeedleTool, load_example, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
 SIGMA = np.full(7, 0.01)
@@ -173,9 +170,9 @@ def guide_simulated_arm(plant, stiffness_N_per_m, way_m, seconds):
     control.tool.update(arm.home_rad)
     line = Fixture.here(control.tool)
     guidance = Guidance(arm.robot)
-    sensor = VirtualForceSensor(
-        arm.robot, on_lwr(replace(DEFAULT, smooth_momentum=False))
-    )
+    known = {"alignment": "hold", "prior": BiasPrior(gear_ratio=LWR_GEAR_RATIO)}
+    config = replace(DEFAULT, smooth_momentum=False, **known)
+    sensor = VirtualForceSensor(arm.robot, config)
     rows = []
     for sample in arm:
         wrench = sensor.update(*sample[1:], sample.dt_s)
@@ -258,10 +255,16 @@ def lead(name, force_at, seconds):
 
 
 def test_the_formula_gives_an_lwr_about_what_was_found_for_it():
-    ratio = find_damping_of_arm(ROBOT) / np.array(LWR_DAMPING_Nms)
+    names = "nv model create_data effort_limit_Nm velocity_limit_rad_s"
+    names += " position_lower_rad position_upper_rad"
+    known = {name: getattr(ROBOT, name) for name in names.split()}
+    stranger = SimpleNamespace(joint_names=["a"] * 7, **known)
+    by_formula, found = (
+        velocity(Guidance(robot), 5.0, 3000) for robot in (stranger, ROBOT)
+    )
 
-    assert ratio.min() > 0.5
-    assert ratio.max() < 2.0
+    assert (found / by_formula).min() > 0.5
+    assert (found / by_formula).max() < 2.0
 
 
 @pytest.mark.parametrize("name", POSTURES)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from groundtruth.rig_operator import HapticMaster, Operator
+from groundtruth import HapticMaster, Operator
 from needleforce.control import Beside, HandleWatch, State
 from tests.needleforce.control.haptic import (
     DT,

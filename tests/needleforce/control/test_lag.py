@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from needleforce.control import ControlError, Limits
-from needleforce.control.lag import Delay, find_safe_gain, measure_lag
+from needleforce.control import ControlError, Delay, Limits, find_safe_gain, measure_lag
 from tests.needleforce.control.late_arm import DT_s, LateArm
 from urdf import NeedleTool, load_lwr
 
@@ -31,6 +30,17 @@ def test_an_injected_delay_is_measured(cycles, lost):
     aside_m = np.linalg.norm(np.array(arm.tips_m) - arm.tips_m[0], axis=1)
     assert 0.1e-3 < aside_m.max() < 5e-3
     assert not arm.sent[-1].any()
+
+
+def test_the_tip_of_a_long_needle_moves_by_no_more_than_5_mm():
+    """By the sum of what the single joints move it."""
+    robot = load_lwr(payload=NeedleTool(needle_length_m=2.5))
+    arm = LateArm(robot, HOME_rad, 5)
+    reach_m_per_rad = np.linalg.norm(arm.tool.jacobian[:3], axis=0).sum()
+    measure_lag(arm, robot, Limits(robot), 2.0)
+    turned_rad = np.abs(np.array(arm.positions_rad) - HOME_rad).max()
+
+    assert turned_rad * reach_m_per_rad == pytest.approx(5e-3, rel=0.05)
 
 
 @pytest.mark.parametrize(

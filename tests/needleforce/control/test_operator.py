@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundtruth.rig_operator import HapticMaster, Operator, random_operator
+from groundtruth import HapticMaster, Operator, random_operator
 
 
 def held(at_m=(0.0, 0.0, 0.0), **hand):

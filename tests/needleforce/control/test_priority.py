@@ -15,16 +15,15 @@ from needleforce.control import (
     AxialSpeed,
     Controller,
     Fixture,
+    JointVelocity,
     Limits,
     Posture,
     RemoteCentre,
     SettingError,
     TipVelocity,
+    ToolState,
 )
-from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.priority_solver import Stack, hierarchical, solve_level
-from needleforce.control.tasks import JointVelocity, MAX_STEP_s, ToolState
-from needleforce.devices.rate_limiter import write_velocity_bounds
 from tests.needleforce.control.late_arm import LateArm, follow
 from urdf import NeedleTool, load_lwr
 
@@ -127,9 +126,10 @@ def solved(tool, tasks, last_rad_s):
     """Return a filled stack, and the velocity that serves it."""
     stack = Stack(tasks, 7)
     stack.fill(tasks, tool)
-    rows = np.array((*JOINTS, JOINTS.acceleration_rad_s2))
-    args = (tool.q_rad, last_rad_s, np.zeros(7), 1e-3, SLACK_rad_s)
-    write_velocity_bounds(rows, *args, stack.bounds)
+    change_rad_s = 1e-3 * JOINTS.acceleration_rad_s2
+    highest_rad_s = np.minimum(last_rad_s + change_rad_s, JOINTS.speed_rad_s)
+    lowest_rad_s = np.maximum(last_rad_s - change_rad_s, -JOINTS.speed_rad_s)
+    stack.bounds[:] = lowest_rad_s, highest_rad_s
     return stack, hierarchical(stack)[0]
 
 
@@ -212,7 +212,7 @@ def test_hostile_samples_pass_no_limit_and_get_an_answer():
             tasks = draw_tasks(tool_at(q_rad), rng)
         elapsed_s, sample = hostile_sample(q_rad, rng)
         last_step_s = step_s
-        step_s = min(sample.dt_s, MAX_STEP_s) if sample.dt_s > 0.0 else step_s
+        step_s = min(sample.dt_s, 0.02) if sample.dt_s > 0.0 else step_s
         q_rad = q_rad + elapsed_s * last_rad_s
         dq_rad_s = control.update(sample, tasks).dq_rad_s
         change_rad_s = JOINTS.acceleration_rad_s2 * max(step_s, last_step_s)

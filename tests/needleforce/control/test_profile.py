@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.estimate import RuptureState
+from identification import RuptureState
 from needleforce.control import (
     InsertionPlan,
     InsertionProfile,

@@ -8,22 +8,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundtruth import sensors
-from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import CLEAN, DEGRADED, FRI, IDEAL, TICK_s
-from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
-from groundtruth.rig_contacts import (
+from groundtruth import (
+    PLANT_MODELS,
     HandOnArm,
+    PlantError,
+    PlantModelError,
     PointMotion,
+    SimulatedArm,
+    TICK_s,
+    Tissue,
     Trocar,
     Wall,
-    distance_to_axis_m,
+    sensors,
 )
-from groundtruth.tissue import Tissue
-from needleforce.control.tasks import ToolState
+from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
+from needleforce.control import ToolState
+from tests.residual.residual_signals import jacobian_of
 from urdf import NeedleTool
 
+IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
 DOWN = np.array([0.0, 0.0, -1.0])
 REST = np.zeros(7)
 
@@ -40,18 +43,10 @@ def run(rig, seconds, velocity=lambda t_s, rig: REST):
     return samples
 
 
-def jacobian(robot, q_rad, frame):
-    data = robot.create_data()
-    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    return pin.computeFrameJacobian(
-        robot.model, data, q_rad, robot.frame_id(frame), axes
-    )
-
-
 def down(speed_m_s):
     """Commands that move the tip down, by the Jacobian at home."""
     rig = SimulatedArm(plant=IDEAL)
-    inverse = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
+    inverse = np.linalg.pinv(jacobian_of(rig.robot, rig.home_rad, "needle_tip"))
     return lambda t_s, rig: inverse[:, :3] @ (speed_m_s * DOWN)
 
 
@@ -74,7 +69,7 @@ def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
     robot = held.robot
     frame = robot.flange_frame if at == "hub" else robot.model.names[joint]
     gravity = pin.rnea(robot.model, robot.create_data(), truth.q_rad, REST, REST)
-    expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push_N
+    expected = gravity - jacobian_of(robot, truth.q_rad, frame)[:3].T @ push_N
 
     np.testing.assert_allclose(truth.tau_Nm, expected, atol=2e-3)
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
@@ -86,7 +81,7 @@ def test_a_tip_force_bends_the_arm_as_expected():
     free, held = push_arm("tip", push_N)
     truth = held.truth
     measured_N = truth.rotation @ (held.ft_wrench - free.ft_wrench)[:3]
-    rows = jacobian(held.robot, truth.q_rad, "needle_tip")[:3]
+    rows = jacobian_of(held.robot, truth.q_rad, "needle_tip")[:3]
     mass = pin.crba(held.robot.model, held.robot.create_data(), truth.q_rad)
     bent_m = rows @ np.linalg.solve(200.0**2 * mass, rows.T) @ push_N
 
@@ -110,7 +105,7 @@ def test_elastic_contacts_conserve_energy():
     )
     plant = ArmPlant(bodies, air, touching=[wall, trocar, hand])
     rig = SimulatedArm(plant=IDEAL)
-    towards = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
+    towards = np.linalg.pinv(jacobian_of(rig.robot, rig.home_rad, "needle_tip"))
     plant.place(rig.home_rad, towards[:, :3] @ (0.1 * DOWN))
     model = bodies.model()
     data = model.createData()
@@ -126,8 +121,8 @@ def test_elastic_contacts_conserve_energy():
         elbows_m.append(data.oMi[4].translation.copy())
         pressed_m = max((plant.tip_m - start_m) @ axis - wall.distance_m, 0.0)
         walls_J.append(0.5 * WALL_N_per_m * pressed_m**2)
-        aside_m = distance_to_axis_m(trocar.point_m, plant.tip_m, plant.tip_axes[:, 2])
-        energy_J += walls_J[-1] + 0.5 * TROCAR_N_per_m * aside_m**2
+        aside_m = np.cross(trocar.point_m - plant.tip_m, plant.tip_axes[:, 2])
+        energy_J += walls_J[-1] + 0.5 * TROCAR_N_per_m * aside_m @ aside_m
         energy_J += 0.5 * HAND_N_per_m * ((elbows_m[-1] - elbows_m[0]) ** 2).sum()
         energies_J.append(energy_J)
         plant.tick(np.zeros(7))
@@ -151,8 +146,11 @@ def test_a_trocar_pulls_across_the_needle_only(offset, along_m_s):
 
     assert abs(np.dot(force, axis)) < 1e-9
     np.testing.assert_allclose(force, 1000.0 * expected, atol=1e-9)
-    assert distance_to_axis_m(trocar.point_m, tip, np.array(axis)) == pytest.approx(
-        float(np.linalg.norm(expected)), abs=1e-12
+    assert abs(np.dot(expected, axis)) < 1e-12
+    np.testing.assert_allclose(
+        np.cross(np.subtract(trocar.point_m, tip), axis),
+        np.cross(expected, axis),
+        atol=1e-12,
     )
 
 
@@ -304,9 +302,10 @@ def test_tissue_lies_as_asked_and_ruptures_count():
 
 
 def test_kinematic_error_displaces_the_true_needle_only():
+    uncalibrated = replace(CLEAN, kinematic_error_m=2e-4, kinematic_error_rad=3e-4)
     offsets_m = []
     for seed in range(6):
-        rig = SimulatedArm(plant=with_kinematic_error(CLEAN), seed=seed)
+        rig = SimulatedArm(plant=uncalibrated, seed=seed)
         tool = ToolState(rig.robot)
         tool.update(rig.home_rad)
         next(rig)

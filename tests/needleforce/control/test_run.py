@@ -76,8 +76,6 @@ def test_a_real_arm_moves_with_limits_of_force_and_jerk_only():
         next(drive(arm))
     assert len(arm.sent) == 1
     assert next(drive(arm, without_force_limit=True))[1].situation is None
-    with pytest.raises(SettingError, match="jerk"):
-        Controller(ROBOT, Limits(ROBOT)).update(arm.sample(), DOWN)
 
 
 def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():

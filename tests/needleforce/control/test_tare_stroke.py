@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth import SimulatedArm
 from needleforce import InsertionSession
 from needleforce.control import ControlError, Limits, SettingError, tare_with_stroke
 from residual import TareError

@@ -6,11 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundtruth.rig_line import DelayLine
-from groundtruth.rig_operator import HapticMaster, Operator, random_operator
+from groundtruth import DelayLine, HapticMaster, Operator, random_operator
 from needleforce.control import HandleReport, HandleWatch, SettingError
 from needleforce.control.passivity import HandPort, NeedlePort, Port
-from needleforce.control.teleoperation import shown_force
 from residual import Status
 from tests.needleforce.control.haptic import (
     DT,
@@ -323,14 +321,25 @@ def test_motion_and_force_end_without_signals():
     assert abs(lost_N[-1]) < 0.2
 
 
-@given(axial=st.floats(-20.0, 20.0), tip=st.floats(-20.0, 20.0))
-def test_shown_force_lies_within_the_measured_one(axial, tip):
-    for shown in ("tip", "enhanced"):
-        force = shown_force(estimate(axial, tip), shown)
-        assert min(axial, 0.0) <= force <= max(axial, 0.0)
-    assert shown_force(estimate(axial, tip), "raw") == axial
-    if 0.0 <= tip <= axial:
-        assert shown_force(estimate(axial, tip), "tip") == tip
+@pytest.mark.parametrize(
+    ("axial_N", "tip_N", "shown", "shown_N"),
+    [
+        (1.0, -3.0, "raw", 1.0),
+        (1.0, 0.4, "tip", 0.4),
+        (1.0, 3.0, "tip", 1.0),
+        (1.0, -3.0, "tip", 0.0),
+        (-1.0, 3.0, "tip", 0.0),
+        (-1.0, -3.0, "tip", -1.0),
+        (1.0, 0.4, "enhanced", 0.7),
+        (1.0, 3.0, "enhanced", 1.0),
+        (1.0, -3.0, "enhanced", 0.0),
+    ],
+)
+def test_shown_force_lies_within_the_measured_one(axial_N, tip_N, shown, shown_N):
+    tele = teleoperate(shown=shown)
+    felt_N = shown_along(tele, 1200, axial_N, tip_N=tip_N)[-1]
+
+    assert felt_N == pytest.approx(shown_N, abs=0.01)
 
 
 def damping_Ns_m(tele, hz):

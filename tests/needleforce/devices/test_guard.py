@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleforce.devices import LinkError, link
-from needleforce.devices.arm_limits import ARM_LIMITS
+from needleforce.devices import ARM_LIMITS, LinkError
 from needleforce.devices.guard import Guard
 from tests.needleforce.devices.scripted_arms import KINDS
 from urdf import load_example, load_lwr
@@ -21,7 +20,7 @@ NAMES = sorted(ARM_LIMITS)
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch):
     """A pause of this machine is no silence of an arm."""
-    monkeypatch.setattr(link, "SILENCE_S", 5.0)
+    monkeypatch.setattr("needleforce.devices.link.SILENCE_S", 5.0)
 
 
 def highest_ratio(name, velocities_rad_s, cycle_s):
@@ -218,7 +217,7 @@ def test_after_a_bad_connection_an_arm_begins_slowly_from_rest(scripted):
 
 def test_after_a_silence_an_arm_begins_slowly_from_rest(scripted, monkeypatch):
     drive_fast(scripted)
-    monkeypatch.setattr(link, "SILENCE_S", 0.1)
+    monkeypatch.setattr("needleforce.devices.link.SILENCE_S", 0.1)
     scripted.arm.on_silence = lambda _: scripted.send()
     next(scripted.readings)
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.arms import arm_lag
-from needleforce.control.lag import measure_lag
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
+from needleforce.control import measure_lag
+from needleforce.devices import Emulator, FriSettings, emulate_fri
 
 
 @pytest.fixture
 def _quick(monkeypatch):
     """Half of the usual motion."""
-    monkeypatch.setattr(arm_lag, "measure_lag", partial(measure_lag, duration_s=1.5))
+    quick = partial(measure_lag, duration_s=1.5)
+    monkeypatch.setattr("needleforce.cli.arms.arm_lag.measure_lag", quick)
 
 
 @pytest.mark.usefixtures("_quick")

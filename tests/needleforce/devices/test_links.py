@@ -10,12 +10,14 @@ import pytest
 
 from needleforce.devices import (
     DeviceSettingError,
+    Emulator,
     FriArm,
+    FriSettings,
     LinkError,
     ReplayArm,
+    emulate_fri,
     pace,
 )
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
 from tests.needleforce.devices.scripted_arms import lwr_measurement
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)

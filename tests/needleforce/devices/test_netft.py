@@ -7,8 +7,13 @@ import time
 import numpy as np
 import pytest
 
-from needleforce.devices import DeviceSettingError, LinkError, NetFT, Scale
-from needleforce.devices.rdt import describe_status, read_scale
+from needleforce.devices import (
+    DeviceSettingError,
+    LinkError,
+    NetFT,
+    Scale,
+    describe_status,
+)
 
 PATIENCE_S = 20.0
 
@@ -32,12 +37,12 @@ def record(count, status=0):
 class Box:
     """A sensor at the other end of a `NetFT`, which has been asked for records."""
 
-    def __init__(self):
+    def __init__(self, scale=(1e6, 1e3)):
         self.socket = socket.socket(type=socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(10.0)
         port = self.socket.getsockname()[1]
-        self.link = NetFT(port=port, scale=Scale(per_N=1e6, per_Nm=1e3))
+        self.link = NetFT(port=port, scale=scale)
         self.request, self.asked_from = self.socket.recvfrom(64)
 
     def send(self, data):
@@ -163,17 +168,19 @@ def page(tmp_path):
 def test_counts_per_other_units_are_refused(units, word, page):
     page.write_text(f"<ft>{units}<calcpf>1000</calcpf><calcpt>2000</calcpt></ft>")
     if word is None:
-        assert read_scale(page.as_uri()) == (1000.0, 2000.0)
+        with Box(page.as_uri()) as box:
+            box.send(GOLDEN_RECORD)
+            assert box.read().tolist() == [1000.0, -2000.0, 3000.0, 2.0, -2.5, 3.0]
     else:
         with pytest.raises(LinkError, match=word):
-            read_scale(page.as_uri())
+            NetFT(scale=page.as_uri())
 
 
 @pytest.mark.parametrize("text", ["<ft>", "<ft/>", "<ft><calcpf>many</calcpf></ft>"])
 def test_a_page_without_counts_is_refused(text, page):
     page.write_text(text)
     with pytest.raises(LinkError, match="counts"):
-        read_scale(page.as_uri())
+        NetFT(scale=page.as_uri())
 
 
 @pytest.mark.parametrize(

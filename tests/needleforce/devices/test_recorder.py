@@ -13,10 +13,9 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
+from needleforce import Recorder, RecorderError
 from needleforce.cli import main
-from needleforce.devices import ArmReading, FriArm
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
-from needleforce.recorder import Recorder, RecorderError
+from needleforce.devices import ArmReading, Emulator, FriArm, FriSettings, emulate_fri
 from needleforce.recordings import FileAccessError, RecordingError, read_log
 from tests.needleforce.devices.scripted_arms import lwr_measurement
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.arms import arm_watch
+
+WATCH = "needleforce.cli.arms.arm_watch"
 
 
 class NoisySensor:
@@ -30,9 +31,9 @@ class NoisySensor:
 
 @pytest.mark.slow
 def test_live_moves_the_simulated_arm_and_is_tared(capsys, monkeypatch):
-    monkeypatch.setattr(arm_watch, "MIN_LEG_S", 2.0)
-    monkeypatch.setattr(arm_watch, "MEAN_SPEED_m_s", 0.02)
-    monkeypatch.setattr(arm_watch, "NetFT", NoisySensor)
+    monkeypatch.setattr(f"{WATCH}.MIN_LEG_S", 2.0)
+    monkeypatch.setattr(f"{WATCH}.MEAN_SPEED_m_s", 0.02)
+    monkeypatch.setattr(f"{WATCH}.NetFT", NoisySensor)
     options = ["--tare-stroke", "20", "--seconds", "1"]
     assert main(["live", "sim", "--yes", "--reference", "ft", *options]) == 0
 

@@ -16,6 +16,7 @@ import pytest
 from needleforce.cli import main
 from needleforce.devices import (
     DeviceSettingError,
+    Emulator,
     Fr3Arm,
     FrankaArm,
     LinkError,
@@ -24,7 +25,6 @@ from needleforce.devices import (
     connect_arm,
     ur,
 )
-from needleforce.devices.emulators import Emulator
 from needleforce.recordings import read_log
 from tests.needleforce.devices.franka_sim_process import HOST, emulate_fr3
 from tests.needleforce.devices.scripted_arms import Ur

@@ -4,8 +4,14 @@ import re
 
 import pytest
 
-from needleforce.plots import Page, PageFigure, PageTable, Section, write_page
-from needleforce.plots.errors import WriteError
+from needleforce.plots import (
+    Page,
+    PageFigure,
+    PageTable,
+    Section,
+    WriteError,
+    write_page,
+)
 
 pytest.importorskip("matplotlib")
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from needleforce.anatomy import Grid, Labels, Structure, Volume
-from needleforce.plots.plan_slices import draw_along, draw_probe_view
+from needleforce.plots import draw_along, draw_probe_view
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from needleforce.recordings import (
     ColumnError,
     ColumnMapping,
     FormatError,
+    open_table,
     read_log,
     read_table,
 )
-from needleforce.recordings.output import open_table
 from tests.needleforce.recordings.bag_samples import (
     START_NS,
     STEP_NS,

@@ -21,11 +21,11 @@ from needleforce.recordings import (
     UnitError,
     load_layouts,
     load_mapping,
+    parse_column_spec,
     read_log,
+    suggest_mapping,
 )
 from needleforce.recordings.log import log_of_table
-from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.mapping_suggestion import suggest_mapping
 from tests.needleforce.recordings.bag_samples import mapped, number, write_bag
 
 T_S = np.arange(3.0) / 100

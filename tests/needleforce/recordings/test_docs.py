@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from needleforce.recordings import CHANNELS, ColumnMapping, read_log
-from needleforce.recordings.mapping import parse_column_spec
+from needleforce.recordings import CHANNELS, ColumnMapping, parse_column_spec, read_log
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = [DOCS / "reference" / "recordings.md", DOCS / "how-to" / "bags.md"]

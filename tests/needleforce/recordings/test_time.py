@@ -11,11 +11,11 @@ from needleforce.recordings import (
     LogError,
     MappingError,
     Table,
+    parse_column_spec,
     read_log,
     write_table,
 )
 from needleforce.recordings.log import log_of_table
-from needleforce.recordings.mapping import parse_column_spec
 from tests.needleforce.recordings.bag_samples import mapped
 
 ROWS = 400

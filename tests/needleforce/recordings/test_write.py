@@ -13,13 +13,15 @@ from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
+    TableLabels,
+    check_outputs,
+    check_writable,
+    open_table,
     read_log,
     read_table,
     write_log,
     write_table,
 )
-from needleforce.recordings.output import check_outputs, check_writable, open_table
-from needleforce.recordings.table import TableLabels
 from tests.needleforce.recordings.bag_samples import START_NS
 
 T_S = np.arange(3) / 1000.0

@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from needleforce.anatomy import Grid, PlanState, Volume
-from needleforce.anatomy.clearance import NeedleClearance
-from needleforce.needle_on_plan import PlanDeviation
+from needleforce import PlanDeviation
+from needleforce.anatomy import Grid, NeedleClearance, PlanState, Volume
 from needleforce.scene import Moment, PlanScene
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])

@@ -17,8 +17,7 @@ from needleforce import NeedleTool, load_lwr
 from needleforce.cli import main
 from needleforce.plots import Page, PageTable, Section, write_page
 from needleforce.recordings import write_table
-from needleforce.scene import PlanScene, SceneError, Viewer, open_viewer
-from needleforce.scene.export_page import export_plan
+from needleforce.scene import PlanScene, SceneError, Viewer, export_plan, open_viewer
 from needleforce.simulation import signal_table
 from tests.chromium import PHONE, needs_chromium
 from tests.insertion_run import short_run
