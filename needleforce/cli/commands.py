@@ -28,6 +28,7 @@ from needleforce.cli.options import (
     Seed,
     SensorOptions,
     Source,
+    Sources,
     TareSeconds,
     app,
     between,
@@ -52,7 +53,7 @@ LIMITS = Group("Limits of the path", sort_key=3)
 
 @app.command(name="force", group=LOGS)
 def force_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     output: Output = Output(),
@@ -76,7 +77,7 @@ def force_command(
 
 @app.command(name="check", group=LOGS)
 def check_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     json: Annotated[bool, Parameter(group=OUTPUT, help="Print JSON.")] = False,
@@ -98,7 +99,7 @@ def check_command(
 
 @app.command(name="identify", group=LOGS)
 def identify_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     output: Output = Output(),
@@ -150,7 +151,7 @@ def report_command(
     """
     from needleforce.cli.logs.replay import report
 
-    return report(log, folder, robot, sensor, columns, options, plan)
+    return report((log,), folder, robot, sensor, columns, options, plan)
 
 
 @app.command(name="view", group=LOGS)

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
     RECOVER,
-    UNPACK,
     FormatError,
     RecordingError,
     file_errors,
     optional_library,
+    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
 from needleforce.recordings.writers import standard_types
 
-BAG_SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
 METADATA = "metadata.yaml"
 
 
@@ -143,39 +143,59 @@ def _recover(path: Path, target: Path) -> None:
     writer.finish()
 
 
-def _files_to_read(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the files of a bag, and a note on each that was cut short.
+def _unpack(path: Path, target: Path) -> None:
+    """Unpack a file that was compressed with zstd; `FormatError` for a bomb."""
+    library = optional_library("zstandard", "compressed bags")
+    with path.open("rb") as stream, target.open("wb") as unpacked:
+        for chunk in library.ZstdDecompressor().read_to_iter(stream):
+            unpacked.write(chunk)
+            require_size(unpacked.tell(), f"{path}: its bag")
+
+
+def _whole_file(file: Path, folder: str, notes: list[str]) -> Path:
+    """Return a file of messages that is neither packed nor cut short.
 
     Args:
-        path: Of the bag.
-        folder: Gets what is left of those that were cut short.
+        file: As it was found.
+        folder: Gets what is unpacked, or what is left of a file that was cut short.
+        notes: Get one on a file that was.
     """
     magic = b"\x89MCAP0\r\n"
-    files: list[Path] = []
-    notes: list[str] = []
-    for number, file in enumerate(_files_in(path) if path.is_dir() else [path]):
-        with file.open("rb") as stream:
-            is_mcap = stream.read(len(magic)) == magic
-            stream.seek(-len(magic), 2) if is_mcap else None
-            is_cut = is_mcap and stream.read() != magic
+    if file.suffix == ".zstd":
+        packed = file
+        file = Path(mkdtemp(dir=folder), packed.stem)
+        _unpack(packed, file)
 
-        files.append(folder / f"{number}.mcap" if is_cut else file)
-        if is_cut:
-            _recover(file, files[-1])
-            notes.append(f"{file.name} is cut short; it was read up to there")
+    with file.open("rb") as stream:
+        is_mcap = stream.read(len(magic)) == magic
+        stream.seek(-len(magic), 2) if is_mcap else None
+        if not is_mcap or stream.read() == magic:
+            return file
 
-    is_whole_folder = not notes and (path / METADATA).exists()
-    return [path] if is_whole_folder else files, notes
+    notes.append(f"{file.name} is cut short; it was read up to there")
+    whole = Path(mkdtemp(dir=folder), file.name)
+    _recover(file, whole)
+    return whole
 
 
 @contextmanager
-def _open_bag(path: Path) -> Iterator[_Bag]:
-    """Open a bag; `FormatError` if it is none, or damaged."""
+def _open_bag(paths: Sequence[Path]) -> Iterator[_Bag]:
+    """Open the files of a bag; `FormatError` if it is none, or damaged."""
     library = optional_library("rosbags.highlevel", "ROS bags")
-    with TemporaryDirectory() as folder, file_errors(path):
-        files, notes = _files_to_read(path, Path(folder))
+    source = paths[0]
+    notes: list[str] = []
+    readable: list[Path] = []
+    with TemporaryDirectory() as folder, file_errors(source):
         try:
-            with library.AnyReader(files, default_typestore=standard_types()) as reader:
+            for path in paths:
+                files = _files_in(path) if path.is_dir() else [path]
+                whole = [_whole_file(file, folder, notes) for file in files]
+                # The metadata of a folder fit its files as they are.
+                is_bag_folder = whole == files and (path / METADATA).exists()
+                readable += [path] if is_bag_folder else whole
+
+            types = standard_types()
+            with library.AnyReader(readable, default_typestore=types) as reader:
                 topics: dict[str, list[Any]] = {}
                 for connection in reader.connections:
                     topics.setdefault(connection.topic, []).append(connection)
@@ -185,21 +205,14 @@ def _open_bag(path: Path) -> Iterator[_Bag]:
             raise
         except Exception as error:  # whatever damaged bytes make the library run into
             raise FormatError(
-                f"{path} cannot be read as a bag ({error})", RECOVER
+                f"{source} cannot be read as a bag ({error})", RECOVER
             ) from error
 
 
-def _first_signals(bag: _Bag, topic: str) -> dict[str, _Signal]:
-    """Return the signals of the first messages of a topic, with all joints named."""
-    found: dict[str, _Signal] = {}
-    for _, message in islice(bag.messages(topic), 20):
-        for column, signal in _signals(topic, message).items():
-            if 0 < np.size(signal.values) <= MAX_LIST_NUMBERS:
-                earlier = found.setdefault(column, signal)
-                joints = (*dict.fromkeys((*earlier.joints, *signal.joints)),)
-                found[column] = earlier._replace(joints=joints)
-
-    return found
+def bag_head(paths: Sequence[Path]) -> Table:
+    """Return the columns of a bag without rows."""
+    with _open_bag(paths) as bag:
+        return _head(bag, paths[0])
 
 
 def _head(bag: _Bag, path: Path) -> Table:
@@ -208,20 +221,31 @@ def _head(bag: _Bag, path: Path) -> Table:
     Raises:
         FormatError: There is none.
     """
+    first_messages = 20  # in which every joint is named, and arrays are filled
     columns: dict[str, np.ndarray] = {}
     clocks: dict[str, str] = {}
     joint_names: dict[str, tuple[str, ...]] = {}
+    empty: dict[str, None] = {}
     for topic in bag.topics:
-        for column, signal in _first_signals(bag, topic).items():
-            columns[column] = np.empty((0, *np.shape(signal.values)))
-            clocks[column] = topic
-            if signal.joints:
-                joint_names[column] = signal.joints
-                columns[column] = np.empty((0, len(signal.joints)))
+        for _, message in islice(bag.messages(topic), first_messages):
+            for column, signal in _signals(topic, message).items():
+                size = np.size(signal.values)
+                if not size:
+                    empty[column] = None
+                if not 0 < size <= MAX_LIST_NUMBERS:
+                    continue
+
+                clocks[column] = topic
+                columns.setdefault(column, np.empty((0, *np.shape(signal.values))))
+                if signal.joints:
+                    named = (*joint_names.get(column, ()), *signal.joints)
+                    joint_names[column] = (*dict.fromkeys(named),)
+                    columns[column] = np.empty((0, len(joint_names[column])))
 
     if not columns:
         raise FormatError(
-            f"{path} holds no topic with numbers: {', '.join(bag.topics)}", UNPACK
+            f"{path} holds no topic with numbers: {', '.join(bag.topics)}",
+            "Record the topics with numbers again.",
         )
 
     return Table(
@@ -229,28 +253,23 @@ def _head(bag: _Bag, path: Path) -> Table:
         joint_names=joint_names,
         clocks=clocks,
         warnings=bag.notes,
+        empty=tuple(column for column in empty if column not in columns),
     )
 
 
-def bag_head(path: Path) -> Table:
-    """Return the columns of a bag without rows."""
-    with _open_bag(path) as bag:
-        return _head(bag, path)
-
-
-def read_bag(path: Path, select: Callable[[Table], Table]) -> Table:
+def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
     """Read a ROS bag as a table whose columns have the stamps of their topic.
 
     Args:
-        path: Of the bag, a file or a folder.
+        paths: Files of the bag, or folders of such.
         select: Returns of all columns, without rows, those that are needed, with the
             joints that are.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
     """
-    with _open_bag(path) as bag:
-        whole = _head(bag, path)
+    with _open_bag(paths) as bag:
+        whole = _head(bag, paths[0])
         head = select(whole)
         if not head.columns:
             return whole

@@ -36,12 +36,14 @@ class ChannelRequest:
         required: Channels that must be there.
         optional: Channels read if they are there; with neither given, all are.
         joints: Names of the robot's joints, in its order.
+        named: Channels read if the mapping names their columns.
     """
 
     mapping: ColumnMapping = field(default_factory=ColumnMapping)
     required: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -56,7 +58,8 @@ class ChannelRequest:
             MappingError: One does not exist, or the mapping leaves out one that is
                 required.
         """
-        named = (*self.required, *self.optional)
+        mapped = (name for name in self.named if name in self.mapping.channels)
+        named = (*self.required, *self.optional, *mapped)
         for name in named:
             known_channel(name, self.mapping.knowledge)
         if forgone := self.mapping.left_out & {*self.required}:

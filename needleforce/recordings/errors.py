@@ -17,10 +17,6 @@ RECOVER = (
     "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
     "FILE .recover."
 )
-UNPACK = (
-    "Unpack compressed files (zstd -d, ros2 bag convert), or record the topics "
-    "with numbers again."
-)
 EQUAL_COLUMNS = (
     "Give equal columns of numbers with names of their own; a bag needs `t_s`."
 )

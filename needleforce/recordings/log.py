@@ -3,6 +3,7 @@
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from types import MappingProxyType
 
 import numpy as np
@@ -28,6 +29,7 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.table import Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
+    OrderedRows,
     aligned,
     first_valid_stamp,
     rows_in_order,
@@ -140,7 +142,7 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
 
     units: list[ChannelUnit] = []
     table = _with_time(table, request, found, units)
-    notes = [*table.warnings, *([note] if note else [])]
+    notes = [*table.warnings, *filter(None, [note])]
     measured = _read_channels(table, request, found, units, notes)
     joint_counts = {key: v.shape[1] for key, v in measured.items() if v.ndim == 2}
     if len({*joint_counts.values()}) > 1:
@@ -150,19 +152,15 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         )
 
     first = next(iter(measured.values()))
+    rows = np.arange(len(first))
     if request.mapping.rate_hz is not None:
-        rows = np.arange(len(first))
         t_s = rows / request.mapping.rate_hz
     else:
-        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first)
-        notes += time_notes
+        time = request.channels["time"]
+        rows, t_s, said = ordered_rows(table.columns["t_s"], first, time, units[0])
+        notes += said
 
     channels = {key: values[rows] for key, values in measured.items()}
-    steps_s = np.median(np.diff(t_s), keepdims=True)
-    for unit in units:
-        channel = request.channels[unit.channel]
-        notes += _check_sizes(channel, unit, np.abs(channels.get(channel.key, steps_s)))
-
     return Log(
         t_s=t_s,
         channels=channels,
@@ -171,6 +169,36 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         left_out=len(first) - len(rows),
         warnings=tuple(dict.fromkeys([*notes, *_report_invalid(channels, rows)])),
     )
+
+
+def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]]:
+    """Return columns by channel.
+
+    Raises:
+        ColumnError: A required one is not there, or none; or no joint has a name that
+            fits the pattern of the mapping.
+    """
+    found = request.find_all(table)
+    missing = [request.channels[name] for name in request.required if name not in found]
+    if missing:
+        names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
+        raise ColumnError(
+            f"no column found for {names}; usual names of {missing[0].name} are "
+            f"{', '.join(missing[0].spellings)}. Columns are: {table.describe()}"
+            f"{table.left_out()}"
+        )
+    if not found:
+        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+
+    pattern = request.mapping.joint_pattern
+    columns = {column for each in found.values() for column in each}
+    if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
+        raise ColumnError(
+            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
+            "messages of the recording have names of joints; leave it out"
+        )
+
+    return found
 
 
 def _with_time(
@@ -202,98 +230,9 @@ def _with_time(
         return table
 
     t_s, start_ns = read_times(table, request.channels["time"], units[0])
-    table = replace(table, start_ns=start_ns)
-    parted = table if has_clocks else with_own_clocks(table, found, t_s)
-    if parted.clocks:
-        return aligned(parted, _find_reference(parted, found))
-
-    return replace(table, columns={**table.columns, "t_s": t_s})
-
-
-def _read_channels(
-    table: Table,
-    request: ChannelRequest,
-    found: Mapping[str, Sequence[str]],
-    units: list[ChannelUnit],
-    notes: list[str],
-) -> dict[str, Array]:
-    """Return channels in SI units by key; their units, and what is odd, are added.
-
-    Raises:
-        LogError: A required or mapped channel has a column without a finite value.
-    """
-    measured: dict[str, Array] = {}
-    for name, columns in found.items():
-        channel = request.channels[name]
-        unit = read_units(table, channel, columns, request.mapping.channels.get(name))
-        missing = request.mapping.knowledge.missing_values
-        values = _values_of(table, channel, unit, missing)
-        is_known = np.isfinite(values).any(axis=0)
-        if is_known.all() or not len(values):
-            units.append(unit)
-            measured[channel.key] = values
-            continue
-
-        joints = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
-        place = f" at joint {joints}" if is_known.any() else ""
-        fault = f"{channel.key} has no finite value{place} in {len(values)} rows"
-        if name in (*request.required, *request.mapping.channels):
-            raise LogError(fault)
-
-        notes.append(f"{fault} and was left out")
-
-    return measured
-
-
-def _report_invalid(channels: Mapping[str, Array], rows: NDArray[np.intp]) -> list[str]:
-    """Return a note on each channel that has rows which are not finite.
-
-    Args:
-        channels: By key, shape (n,) or (n, joints).
-        rows: Their numbers in the file, from 0, shape (n,).
-    """
-    notes: list[str] = []
-    for key, values in channels.items():
-        is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
-        if not is_finite.all():
-            row = rows[np.argmin(is_finite)] + 1
-            count = np.count_nonzero(~is_finite)
-            notes.append(
-                f"{key}: rows with NaN or infinity: {count} (first: row {row})"
-            )
-
-    return notes
-
-
-def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]]:
-    """Return columns by channel.
-
-    Raises:
-        ColumnError: A required one is not there, or none; or no joint has a name that
-            fits the pattern of the mapping.
-    """
-    found = request.find_all(table)
-    missing = [request.channels[name] for name in request.required if name not in found]
-    if missing:
-        channel = missing[0]
-        names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
-        raise ColumnError(
-            f"no column found for {names}; usual names of {channel.name} are "
-            f"{', '.join(channel.spellings)}. Columns are: {table.describe()}"
-            f"{table.left_out()}"
-        )
-    if not found:
-        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-
-    pattern = request.mapping.joint_pattern
-    columns = {column for each in found.values() for column in each}
-    if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
-        raise ColumnError(
-            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
-            "messages of the recording have names of joints; leave it out"
-        )
-
-    return found
+    table = replace(table, start_ns=start_ns, columns={**table.columns, "t_s": t_s})
+    parted = table if has_clocks else with_own_clocks(table, found)
+    return aligned(parted, _find_reference(parted, found)) if parted.clocks else table
 
 
 def _find_reference(table: Table, found: Mapping[str, Sequence[str]]) -> str:
@@ -323,22 +262,115 @@ def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
     return read_units(table, channel, columns, spec)
 
 
-def _values_of(
-    table: Table, channel: Channel, unit: ChannelUnit, missing: Sequence[float] = ()
+def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
+    """Return time stamps in s, shape (n,), and the instant in ns that they count from.
+
+    Whole nanoseconds too large for float64, and sums of columns, are counted from the
+    first.
+    """
+    columns = [table.values(name) for name in unit.columns]
+    factors = [channel.units[each] * NS_PER_S for each in unit.units]
+    if len(columns) > 1:
+        terms = zip(columns, factors, strict=True)
+        parts_ns = np.array([values * factor for values, factor in terms])
+        known = np.isfinite(parts_ns).all(axis=0)
+        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
+    elif columns[0].dtype.kind in "iu" and factors == [1.0] and unit.scale == 1.0:
+        known = np.full(len(columns[0]), fill_value=True)
+        stamps_ns = columns[0].astype(np.int64) + table.start_ns
+    else:
+        return _values_in_si(columns, channel, unit), table.start_ns
+
+    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
+    t_s = np.full(len(known), np.nan)
+    t_s[known] = to_seconds(stamps_ns, start_ns)
+    return t_s, start_ns
+
+
+def ordered_rows(
+    t_s: Array, values: Array, channel: Channel, unit: ChannelUnit
+) -> OrderedRows:
+    """Return rows in the order of time, as `rows_in_order` does.
+
+    Raises:
+        LogError: Stamps do not tell the times of the samples.
+        UnitError: They lie so far apart that the unit that was assumed is wrong.
+    """
+    ordered = rows_in_order(t_s, values)
+    _check_sizes(channel, unit, np.median(np.diff(ordered.t_s), keepdims=True))
+    return ordered
+
+
+def _read_channels(
+    table: Table,
+    request: ChannelRequest,
+    found: Mapping[str, Sequence[str]],
+    units: list[ChannelUnit],
+    notes: list[str],
+) -> dict[str, Array]:
+    """Return channels in SI units by key; their units, and what is odd, are added.
+
+    Raises:
+        LogError: A required or mapped channel has a column without a finite value.
+        UnitError: Values are too large for a unit that was assumed.
+    """
+    measured: dict[str, Array] = {}
+    missing = request.mapping.knowledge.missing_values
+    for name, columns in found.items():
+        channel = request.channels[name]
+        unit = read_units(table, channel, columns, request.mapping.channels.get(name))
+        raw = [table.values(column) for column in columns]
+        for number in missing:
+            if any(_is_far_outside(values, number) for values in raw):
+                notes.append(f"{name}: {number:g} is far from all else: taken for none")
+                raw = [np.where(values == number, np.nan, values) for values in raw]
+
+        values = _values_in_si(raw, channel, unit)
+        is_known = np.isfinite(values).any(axis=0)
+        if is_known.all() or not len(values):
+            notes += _check_sizes(channel, unit, np.abs(values))
+            units.append(unit)
+            measured[channel.key] = values
+            continue
+
+        joints = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
+        place = f" at joint {joints}" if is_known.any() else ""
+        fault = f"{channel.key} has no finite value{place} in {len(values)} rows"
+        if name in (*request.required, *request.mapping.channels):
+            raise LogError(fault)
+
+        notes.append(f"{fault} and was left out")
+
+    return measured
+
+
+def _is_far_outside(values: Array, number: float) -> bool:
+    """Return whether a number stands in a column, further off than others from another.
+
+    So far lies what a logger writes where it has no value; a force or a depth that
+    really has such a value passes through those between.
+    """
+    is_number = values == number
+    others = values[np.isfinite(values) & ~is_number]
+    distance = max(others.min() - number, number - others.max()) if others.size else 0.0
+    return bool(is_number.any()) and (not others.size or distance > np.ptp(others))
+
+
+def _values_in_si(
+    columns: Sequence[np.ndarray], channel: Channel, unit: ChannelUnit
 ) -> Array:
     """Return a channel in SI units, shape (n,) or (n, joints).
 
     Args:
-        table: With the columns.
+        columns: Values in the file, shape (n,) or (n, k) each.
         channel: The channel.
-        unit: Its columns and their units.
-        missing: Numbers in the file that stand for no value.
+        unit: The units of the columns.
 
     Raises:
         ColumnError: There are too many columns.
         MappingError: There are more or fewer scale factors than columns.
     """
-    values = np.column_stack([table.values(name) for name in unit.columns])
+    values = np.column_stack(columns)
     width = values.shape[1]
     if width != 1 and not channel.per_joint:
         listed = ", ".join(unit.columns)
@@ -351,36 +383,10 @@ def _values_of(
             "expected one for all or one for each"
         )
 
-    widths = [table.width(name) for name in unit.columns]
+    widths = [prod(each.shape[1:]) for each in columns]
     to_si = np.repeat([channel.units[each] for each in unit.units], widths)
-    values = np.where(np.isin(values, missing), np.nan, values * (to_si * scales))
+    values = values * (to_si * scales)
     return values if channel.per_joint else values[:, 0]
-
-
-def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
-    """Return time stamps in s, shape (n,), and the instant in ns that they count from.
-
-    Whole nanoseconds too large for float64, and sums of columns, are counted from the
-    first.
-    """
-    stamps = table.values(unit.columns[0])
-    is_ns = channel.units[unit.units[0]] * NS_PER_S == 1.0 and unit.scale == 1.0
-    if len(unit.columns) > 1:
-        factors = [channel.units[each] * NS_PER_S for each in unit.units]
-        terms = zip(unit.columns, factors, strict=True)
-        parts_ns = np.array([table.values(name) * factor for name, factor in terms])
-        known = np.isfinite(parts_ns).all(axis=0)
-        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
-    elif stamps.dtype.kind in "iu" and not table.start_ns and is_ns:
-        known = np.full(len(stamps), fill_value=True)
-        stamps_ns = stamps.astype(np.int64)
-    else:
-        return _values_of(table, channel, unit), table.start_ns
-
-    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
-    t_s = np.full(len(stamps), np.nan)
-    t_s[known] = to_seconds(stamps_ns, start_ns)
-    return t_s, start_ns
 
 
 def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:
@@ -400,18 +406,39 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     if ASSUMED not in unit.origins:
         return []
 
-    largest = np.nan_to_num(sizes, posinf=0.0).reshape(len(sizes), -1).max(axis=1)
-    large_count = np.count_nonzero(largest > channel.at_most)
-    size = f"is up to {largest.max():.4g} {channel.units.si}"
+    sizes = np.nan_to_num(sizes, posinf=0.0)
+    largest = sizes.max(initial=0.0)
+    size = f"is up to {largest:.4g} {channel.units.si}"
     names = describe_columns(unit.columns)
     # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
-    if channel.key == "force_N" and 0.0 < largest.max() < 0.05:
+    if channel.key == "force_N" and 0.0 < largest < 0.05:
         return [f"force: {names} {size}; the file states no unit, and may be in kN"]
-    if not large_count:
-        return []
 
+    is_large = (sizes > channel.at_most).reshape(len(sizes), -1).any(axis=1)
+    large_count = np.count_nonzero(is_large)
     text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
-    if large_count <= 0.05 * len(sizes):  # so few may be spikes
-        return [f"{text}; rows beyond it: {large_count}"]
+    if large_count > 0.05 * len(sizes):  # fewer may be spikes
+        known = ", ".join(channel.units)
+        raise UnitError(f"{text}. The file states no unit of {known}")
 
-    raise UnitError(f"{text}. The file states no unit of {', '.join(channel.units)}")
+    return [f"{text}; rows beyond it: {large_count}"] if large_count else []
+
+
+def _report_invalid(channels: Mapping[str, Array], rows: NDArray[np.intp]) -> list[str]:
+    """Return a note on each channel that has rows which are not finite.
+
+    Args:
+        channels: By key, shape (n,) or (n, joints).
+        rows: Their numbers in the file, from 0, shape (n,).
+    """
+    notes: list[str] = []
+    for key, values in channels.items():
+        is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
+        if not is_finite.all():
+            row = rows[np.argmin(is_finite)] + 1
+            count = np.count_nonzero(~is_finite)
+            notes.append(
+                f"{key}: rows with NaN or infinity: {count} (first: row {row})"
+            )
+
+    return notes

@@ -2,17 +2,16 @@
 
 import json
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.column_names import read_units
 from needleforce.recordings.errors import ColumnError, UnitError
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
-from needleforce.recordings.open_recording import columns_of
+from needleforce.recordings.open_recording import Source, columns_of, paths_of
 
 
 def suggest_mapping(
-    source: str | Path,
+    source: Source,
     channels: Iterable[str],
     *,
     mapping: ColumnMapping | None = None,
@@ -41,7 +40,7 @@ def suggest_mapping(
         "rate_hz": known.rate_hz,
         "joints": list(known.joint_order or (joints if names_robot else ())),
     }
-    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
+    title = f"Mapping of {paths_of(source)[0].name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
     is_timed = known.rate_hz is not None or table.clocks

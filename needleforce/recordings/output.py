@@ -1,9 +1,9 @@
 """Tables that are written: whole or not at all, or row by row for others to follow."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -214,22 +214,23 @@ def _require_new(path: Path) -> None:
             )
 
 
-def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
+def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> None:
     """Check that no output would replace another one, or harm the recording read.
 
     Args:
         outputs: Paths by the options that name them.
-        source: The recording, a file or a folder, which need not exist.
+        sources: The recording, files or a folder, which need not exist.
 
     Raises:
         FileAccessError: One would.
     """
-    paths = dict(outputs)
-    if source is not None and source.exists():
+    logs: list[tuple[str, Path]] = []
+    for source in filter(Path.exists, sources):
         is_in_bag = is_bag(source) and (source.resolve().parent / METADATA).exists()
-        paths["the log"] = source.resolve().parent if is_in_bag else source
+        logs.append(("the log", source.resolve().parent if is_in_bag else source))
 
-    for (option, path), (other_option, other) in combinations(paths.items(), 2):
+    pairs = [*combinations(outputs.items(), 2), *product(outputs.items(), logs)]
+    for (option, path), (other_option, other) in pairs:
         with file_errors(path, "write"):
             is_same_file = path.exists() and other.exists() and path.samefile(other)
             place = path.resolve()

@@ -63,6 +63,7 @@ class Table:
         clocks: By name of a column: what stamped its rows, a topic or a file; none
             where one column holds the time stamps of all.
         stamps_ns: By clock: the time stamp of each row, shape (n,).
+        empty: Names of what holds no number, although it might.
     """
 
     columns: TableColumns
@@ -73,6 +74,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    empty: tuple[str, ...] = ()
 
     def values(self, name: str) -> np.ndarray:
         """Return a column, or an element of one such as `wrench[2]`."""
@@ -92,6 +94,7 @@ class Table:
             f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
             for name, values in self.columns.items()
         ]
+        names += [f"{name} (empty)" for name in self.empty]
         more = f" and {len(names) - limit} more" if len(names) > limit else ""
         return ", ".join(names[:limit]) + more
 
