@@ -117,8 +117,12 @@ class ChannelRequest:
         table = self._table_of_robot(table)
         try:
             columns = detect_columns(table, channel)
-        except ColumnError:  # several would fit, one for each joint perhaps
+        except ColumnError as error:  # several would fit, one for each joint perhaps
             columns = self._find_by_joints(table, channel)
+            wanted = ", ".join(self.joints) if channel.per_joint else ""
+            if not columns and wanted:
+                text = f"{error}; expected columns of the joints {wanted}"
+                raise error.reworded(text) from error
             if not columns:
                 raise
 

@@ -46,21 +46,21 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
     Only a unit of the quantity looked for is read as one. Understands `q1`, `q_1`,
     `q[0]`, `q1_deg`, `q_deg_1`, `joint 1 position`, `z [mm]`, `z (mm)`, `z/mm`, `z mm`,
     `z in mm`, `speed_mm_s` and a leading path such as `/joint_states/`; before a number
-    also one with dots, as in `state.q[0]`.
+    also one with dots, as in `state.q[0]`, and a word for a joint, as in `position.a1`.
     """
     stem, unit = split_unit(name.strip(), units)
     number = None
     family = name
     last = re.match(r"^(.*?[^\d_.\[ ])[_. ]?\[?(\d{1,9})\]?$", stem)
-    joint = (
-        r"(?i)^((?:joint|axis|actuator|motor|ax|j|a)[_. ]?)(\d{1,2})[_./ ]+([^\d\W].*)$"
-    )
+    a_joint = r"(?:joint|axis|actuator|motor|ax|j|a)"
+    joint = rf"(?i)^({a_joint}[_. ]?)(\d{{1,2}})[_./ ]+([^\d\W].*)$"
     first = re.match(joint, stem.rsplit("/", 1)[-1])
     if last:
         number = int(last[2])
         start, end = last.span(2)
         family = name.replace(stem, f"{stem[:start]}#{stem[end:]}", 1)
-        stem = last[1].rsplit(".", 1)[-1]
+        named = re.sub(rf"(?i)[_. /]{a_joint}$", "", last[1])
+        stem = named.rsplit(".", 1)[-1]
         if unit is None:
             stem, unit = split_unit(stem, units)
     elif first:
