@@ -5,9 +5,9 @@
 
 import re
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
-    RECOVER,
     FormatError,
-    RecordingError,
+    damage_errors,
     file_errors,
     optional_library,
     require_size,
@@ -58,26 +57,6 @@ class _Signal(NamedTuple):
     path: tuple[str, ...]
     values: Any
     joints: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bag:
-    """An open bag.
-
-    Attributes:
-        reader: Of rosbags.
-        topics: Connections by topic.
-        notes: What is odd about its files.
-    """
-
-    reader: Any
-    topics: Mapping[str, Sequence[Any]]
-    notes: tuple[str, ...]
-
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield the messages of a topic, each with the time it was recorded [ns]."""
-        for connection, log_ns, data in self.reader.messages(self.topics[topic]):
-            yield log_ns, self.reader.deserialize(data, connection.msgtype)
 
 
 def _signals(topic: str, message: Any) -> dict[str, _Signal]:
@@ -179,44 +158,53 @@ def _whole_file(file: Path, folder: str, notes: list[str]) -> Path:
 
 
 @contextmanager
-def _open_bag(paths: Sequence[Path]) -> Iterator[_Bag]:
-    """Open the files of a bag; `FormatError` if it is none, or damaged."""
+def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
+    """Open the files of a bag with rosbags; `FormatError` if it is none, or damaged.
+
+    Args:
+        paths: Files of the bag, or folders of such.
+        notes: Get one on each file that was cut short.
+    """
     library = optional_library("rosbags.highlevel", "ROS bags")
-    source = paths[0]
-    notes: list[str] = []
     readable: list[Path] = []
-    with TemporaryDirectory() as folder, file_errors(source):
-        try:
-            for path in paths:
-                files = _files_in(path) if path.is_dir() else [path]
-                whole = [_whole_file(file, folder, notes) for file in files]
-                # The metadata of a folder fit its files as they are.
-                is_bag_folder = whole == files and (path / METADATA).exists()
-                readable += [path] if is_bag_folder else whole
+    with (
+        TemporaryDirectory() as folder,
+        file_errors(paths[0]),
+        damage_errors(paths[0], "bag"),
+    ):
+        for path in paths:
+            files = _files_in(path) if path.is_dir() else [path]
+            whole = [_whole_file(file, folder, notes) for file in files]
+            # The metadata of a folder fit its files as they are.
+            is_bag_folder = whole == files and (path / METADATA).exists()
+            readable += [path] if is_bag_folder else whole
 
-            types = standard_types()
-            with library.AnyReader(readable, default_typestore=types) as reader:
-                topics: dict[str, list[Any]] = {}
-                for connection in reader.connections:
-                    topics.setdefault(connection.topic, []).append(connection)
+        types = standard_types()
+        with library.AnyReader(readable, default_typestore=types) as reader:
+            yield reader
 
-                yield _Bag(reader, topics, tuple(notes))
-        except (RecordingError, OSError):
-            raise
-        except Exception as error:  # whatever damaged bytes make the library run into
-            raise FormatError(
-                f"{source} cannot be read as a bag ({error})", RECOVER
-            ) from error
+
+def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic, each with the time it was recorded [ns]."""
+    connections = [each for each in reader.connections if each.topic == topic]
+    for connection, log_ns, data in reader.messages(connections):
+        yield log_ns, reader.deserialize(data, connection.msgtype)
 
 
 def bag_head(paths: Sequence[Path]) -> Table:
     """Return the columns of a bag without rows."""
-    with _open_bag(paths) as bag:
-        return _head(bag, paths[0])
+    notes: list[str] = []
+    with _open_bag(paths, notes) as reader:
+        return _head(reader, paths[0], notes)
 
 
-def _head(bag: _Bag, path: Path) -> Table:
+def _head(reader: Any, path: Path, notes: Sequence[str]) -> Table:
     """Return all columns of a bag without rows, as its first messages have them.
+
+    Args:
+        reader: Of rosbags.
+        path: For messages.
+        notes: What is odd about the files.
 
     Raises:
         FormatError: There is none.
@@ -226,8 +214,9 @@ def _head(bag: _Bag, path: Path) -> Table:
     clocks: dict[str, str] = {}
     joint_names: dict[str, tuple[str, ...]] = {}
     empty: dict[str, None] = {}
-    for topic in bag.topics:
-        for _, message in islice(bag.messages(topic), first_messages):
+    topics = dict.fromkeys(each.topic for each in reader.connections)
+    for topic in topics:
+        for _, message in islice(_messages(reader, topic), first_messages):
             for column, signal in _signals(topic, message).items():
                 size = np.size(signal.values)
                 if not size:
@@ -244,7 +233,7 @@ def _head(bag: _Bag, path: Path) -> Table:
 
     if not columns:
         raise FormatError(
-            f"{path} holds no topic with numbers: {', '.join(bag.topics)}",
+            f"{path} holds no topic with numbers: {', '.join(topics)}",
             "Record the topics with numbers again.",
         )
 
@@ -252,7 +241,7 @@ def _head(bag: _Bag, path: Path) -> Table:
         columns=columns,
         joint_names=joint_names,
         clocks=clocks,
-        warnings=bag.notes,
+        warnings=tuple(notes),
         empty=tuple(column for column in empty if column not in columns),
     )
 
@@ -268,8 +257,9 @@ def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
     """
-    with _open_bag(paths) as bag:
-        whole = _head(bag, paths[0])
+    notes: list[str] = []
+    with _open_bag(paths, notes) as reader:
+        whole = _head(reader, paths[0], notes)
         head = select(whole)
         if not head.columns:
             return whole
@@ -278,7 +268,7 @@ def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
         both_ns: dict[str, NDArray[np.int64]] = {}
         for topic in dict.fromkeys(head.clocks[name] for name in head.columns):
             names = [name for name in head.columns if head.clocks[name] == topic]
-            both_ns[topic], rows = _read_topic(bag, topic, names, head)
+            both_ns[topic], rows = _read_topic(reader, topic, names, head)
             columns |= rows
 
     offset_ns = 0  # of the sources' clock from the recorder's, by the fullest topic
@@ -298,7 +288,7 @@ def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
 
 
 def _read_topic(
-    bag: _Bag, topic: str, names: Sequence[str], head: Table
+    reader: Any, topic: str, names: Sequence[str], head: Table
 ) -> tuple[NDArray[np.int64], dict[str, np.ndarray]]:
     """Return stamps of source and recorder [ns], shape (2, n), and columns by name.
 
@@ -307,7 +297,7 @@ def _read_topic(
     wanted = {joint for name in names for joint in head.joint_names.get(name, ())}
     stamps_ns: list[tuple[int, int]] = []
     rows = {name: array("d") for name in names}
-    for log_ns, message in bag.messages(topic):
+    for log_ns, message in _messages(reader, topic):
         signals = _signals(topic, message)
         named = {joint for signal in signals.values() for joint in signal.joints}
         if named and wanted and named.isdisjoint(wanted):

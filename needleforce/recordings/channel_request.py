@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from needleforce.recordings.channels import Channel, Layout
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
@@ -51,6 +51,11 @@ class ChannelRequest:
         return self.mapping.knowledge.channels
 
     @property
+    def robot(self) -> tuple[str, ...]:
+        """The joints that are looked for, in the robot's order."""
+        return self.mapping.joint_order or self.joints
+
+    @property
     def requested(self) -> tuple[str, ...]:
         """The channels that are looked for: required ones first, none left out.
 
@@ -59,8 +64,8 @@ class ChannelRequest:
                 required.
         """
         mapped = (name for name in self.named if name in self.mapping.channels)
-        named = (*self.required, *self.optional, *mapped)
-        for name in named:
+        wanted = (*self.required, *self.optional, *mapped)
+        for name in wanted:
             known_channel(name, self.mapping.knowledge)
         if forgone := self.mapping.left_out & {*self.required}:
             raise MappingError(
@@ -68,7 +73,7 @@ class ChannelRequest:
                 "needed; only others can be left out, such as dq"
             )
 
-        names = named or tuple(name for name in self.channels if name != "time")
+        names = wanted or tuple(name for name in self.channels if name != "time")
         return tuple(name for name in names if name not in self.mapping.left_out)
 
     def columns(self, table: Table) -> frozenset[str] | None:
@@ -104,7 +109,7 @@ class ChannelRequest:
     def find(self, table: Table, channel: Channel) -> list[str]:
         """Return the names of a channel's columns; none if no name looks like it.
 
-        They are the mapped ones, those of usual names, or those of the joints.
+        They are the mapped ones, those of the robot's joints, or those of usual names.
 
         Raises:
             ColumnError: They are not there, or ambiguous.
@@ -114,33 +119,16 @@ class ChannelRequest:
             patterns = spec.patterns
             return [name for each in patterns for name in find_columns(table, each)]
 
-        table = self._table_of_robot(table)
-        try:
-            columns = detect_columns(table, channel)
-        except ColumnError as error:  # several would fit, one for each joint perhaps
-            columns = self._find_by_joints(table, channel)
-            wanted = ", ".join(self.joints) if channel.per_joint else ""
-            if not columns and wanted:
-                text = f"{error}; expected columns of the joints {wanted}"
-                raise error.reworded(text) from error
-            if not columns:
-                raise
-
-        return columns or self._find_by_joints(table, channel)
-
-    def _table_of_robot(self, table: Table) -> Table:
-        """Return a table without the joints of others, if it has all of the robot's."""
-        joints = self.mapping.joint_order or self.joints
         others = {
             name
-            for name, each in table.joint_names.items()
-            if not match_joints(each, joints)
+            for name, joints in table.joint_names.items()
+            if not match_joints(joints, self.robot)
         }
-        if others == table.joint_names.keys():
-            return table
+        if others < table.joint_names.keys():  # signals of the robot are there
+            columns = {n: v for n, v in table.columns.items() if n not in others}
+            table = replace(table, columns=columns)
 
-        columns = {n: v for n, v in table.columns.items() if n not in others}
-        return replace(table, columns=columns)
+        return self._find_by_joints(table, channel) or detect_columns(table, channel)
 
     def _find_by_joints(self, table: Table, channel: Channel) -> list[str]:
         """Return columns that are named after the robot's joints and a channel.
@@ -151,16 +139,12 @@ class ChannelRequest:
         Raises:
             ColumnError: Columns of several arms would fit.
         """
-        joints = self.mapping.joint_order or self.joints
-        if not channel.per_joint:
-            return []
-
         by_stem = {
             split_unit(name.strip(), channel.units)[0]: name
             for name, values in table.columns.items()
-            if values.ndim == 1
+            if values.ndim == 1 and channel.per_joint
         }
-        matches = match_joints(by_stem, joints)
+        matches = match_joints(by_stem, self.robot)
         named = [match for match in matches if names_channel(match, channel)]
         chosen = choose_match(named, self.mapping.joint_pattern, channel.name)
         return [by_stem[stem] for stem in chosen.names] if chosen else []
@@ -172,38 +156,28 @@ class ChannelRequest:
             ColumnError: None of them has all of the robot's joints, or several arms
                 would fit.
         """
-        robot = self.mapping.joint_order or self.joints
-        groups = {
-            n: each for n, each in table.joint_names.items() if n in table.columns
-        }
-        if not groups or not robot:
-            return table
-
         columns = dict(table.columns)
-        joint_names = dict(table.joint_names)
+        groups = {n: each for n, each in table.joint_names.items() if n in columns}
+        ordered: dict[str, tuple[str, ...]] = {}
         notes: dict[str, None] = {}
-        is_found = False
         for name, joints in groups.items():
             where = table.clocks.get(name, name)
-            matches = match_joints(joints, robot)
+            matches = match_joints(joints, self.robot)
             chosen = choose_match(matches, self.mapping.joint_pattern, where)
             if chosen is None:
                 continue
 
-            is_found = True
-            order = [joints.index(joint) for joint in chosen.names]
-            columns[name] = columns[name][:, order]
-            joint_names[name] = chosen.names
-            if chosen.names != robot:
-                taken = f"{chosen.names[0]}, ... ({chosen.pattern})"
-                note = f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
-                notes[note] = None
+            ordered[name] = chosen.names
+            columns[name] = columns[name][:, [joints.index(n) for n in chosen.names]]
+            if chosen.names != self.robot:
+                taken = f"{chosen.names[0]}, ... ({chosen.pattern}) were taken"
+                notes[f"{where}: {taken} for the robot's {self.robot[0]}, ..."] = None
 
-        if not is_found:
+        if self.robot and groups and not ordered:
             name, joints = next(iter(groups.items()))
             raise ColumnError(
                 f"{name} has the joints {', '.join(joints)}; expected "
-                f"{', '.join(robot)}",
+                f"{', '.join(self.robot)}",
                 "Name them in the robot's order, with `joints` in the `mapping` or "
                 f"`--joints {','.join(joints)}`.",
             )
@@ -211,44 +185,29 @@ class ChannelRequest:
         return replace(
             table,
             columns=columns,
-            joint_names=joint_names,
+            joint_names={**table.joint_names, **ordered},
             warnings=(*table.warnings, *notes),
-        )
-
-    def find_layout(self, table: Table) -> Layout | None:
-        """Return the first layout that a table has; None if none is known."""
-        layouts = self.mapping.knowledge.layouts
-        return next(
-            (each for each in layouts if _has_columns(table, each.columns)), None
         )
 
     def with_layout(self, table: Table) -> "ChannelRequest":
         """Return the request with what the layout of a table says; the mapping wins.
 
-        Of the layout's channels those are taken that the table has.
+        It is the first that the table has; of its channels those are taken that are
+        there.
         """
-        layout = self.find_layout(table)
-        if layout is None:
-            return self
+        knowledge = self.mapping.knowledge
+        for layout in knowledge.layouts:
+            if _has_columns(table, layout.columns):
+                known = mapping_of_layout(layout, knowledge)
+                channels = {
+                    name: spec
+                    for name, spec in known.channels.items()
+                    if spec.columns == LEFT_OUT or _has_columns(table, spec.patterns)
+                }
+                known = replace(known, channels=channels)
+                return replace(self, mapping=known.updated(self.mapping))
 
-        known = mapping_of_layout(layout, self.mapping.knowledge)
-        channels = {
-            name: spec
-            for name, spec in known.channels.items()
-            if spec.patterns == (LEFT_OUT,) or _has_columns(table, spec.patterns)
-        }
-        channels |= self.mapping.channels
-        rate_hz = self.mapping.rate_hz
-        if rate_hz is not None:
-            channels.pop("time", None)
-        elif "time" not in self.mapping.channels:
-            rate_hz = known.rate_hz
-
-        joints = self.mapping.joints or known.joints
-        mapping = replace(
-            self.mapping, channels=channels, rate_hz=rate_hz, joints=joints
-        )
-        return replace(self, mapping=mapping)
+        return self
 
 
 def _has_columns(table: Table, patterns: Iterable[str]) -> bool:

@@ -12,14 +12,6 @@ KNOWN_SUFFIX = (
     "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
     "or be a folder."
 )
-OWN_PLACES = "Give each output a place of its own, in a folder that exists."
-RECOVER = (
-    "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
-    "FILE .recover."
-)
-EQUAL_COLUMNS = (
-    "Give equal columns of numbers with names of their own; a bag needs `t_s`."
-)
 
 
 class RecordingError(NeedleforceError):
@@ -34,11 +26,20 @@ class RecordingError(NeedleforceError):
 class FileAccessError(RecordingError, OSError):
     """A file cannot be opened, or its suffix names no known format."""
 
-    usual_advice = "Check the name, the permissions and the space that is left."
+    usual_advice = (
+        "Check the name, the permissions and the space that is left; give each output "
+        "a place of its own, in a folder that exists."
+    )
 
 
 class FormatError(RecordingError, ValueError):
     """A file could be opened, but nothing usable could be read from it."""
+
+    usual_advice = (
+        "Give a header with the names of the columns and rows of numbers; copy a "
+        "damaged file again; messages of an SQLite bag may be recovered with: sqlite3 "
+        "FILE .recover."
+    )
 
 
 class ColumnError(RecordingError, LookupError):
@@ -71,7 +72,8 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
     usual_advice = (
-        "Give columns of numbers with one value, or one row, for each time stamp."
+        "Give columns of numbers with names of their own and one value, or one row, for "
+        "each time stamp; a bag needs `t_s`."
     )
 
 
@@ -119,6 +121,20 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
     except OSError as error:
         raise FileAccessError(
             f"cannot {verb} {name}: {error.strerror or error}"
+        ) from error
+
+
+@contextmanager
+def damage_errors(path: str | Path, kind: str) -> Iterator[None]:
+    """Turn whatever damaged bytes make a library run into to a `FormatError`."""
+    try:
+        yield
+    except Exception as error:
+        is_of_system = isinstance(error, OSError) and error.errno is not None
+        if is_of_system or isinstance(error, RecordingError):
+            raise
+        raise FormatError(
+            f"{path} is no {kind} that can be read, or damaged ({error})"
         ) from error
 
 

@@ -23,7 +23,6 @@ from needleforce.recordings.errors import (
     ColumnError,
     LogError,
     MappingError,
-    RecordingError,
     UnitError,
 )
 from needleforce.recordings.table import Table
@@ -132,13 +131,15 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
     Raises:
         RecordingError: As `read_log` does.
     """
-    layout = request.find_layout(table)
-    note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
     request = request.with_layout(table)
+    note = request.mapping.note
     try:
         found = _find_channels(table, request)
-    except RecordingError as error:  # the note may say why
-        raise (error.reworded(f"{error}. {note}") if note else error) from error
+    except ColumnError as error:
+        joints = ", ".join(request.robot)
+        wanted = joints and f"The robot's joints are {joints}"
+        text = ". ".join(filter(None, [str(error), note, wanted]))
+        raise error.reworded(text) from error
 
     units: list[ChannelUnit] = []
     table = _with_time(table, request, found, units)

@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 from needleforce.files import whole_file
 from needleforce.recordings.bag_file import METADATA, is_bag
 from needleforce.recordings.errors import (
-    EQUAL_COLUMNS,
     KNOWN_SUFFIX,
-    OWN_PLACES,
     FileAccessError,
     LogError,
     file_errors,
@@ -38,7 +36,6 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
         raise LogError(
             f"expected columns with names and numbers of shape (n,) or (n, k), all of "
             f"the same n, not {shapes or columns}",
-            EQUAL_COLUMNS,
         )
 
     return arrays
@@ -194,11 +191,10 @@ def require_place(path: Path) -> None:
         if not path.parent.is_dir():
             raise FileAccessError(
                 f"cannot write {path}: there is no folder {path.parent}",
-                OWN_PLACES,
             )
 
         if path.is_dir():
-            raise FileAccessError(f"cannot write {path}: it is a folder", OWN_PLACES)
+            raise FileAccessError(f"cannot write {path}: it is a folder")
 
 
 def _require_new(path: Path) -> None:
@@ -240,5 +236,4 @@ def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> 
             raise FileAccessError(
                 f"cannot write {option} {path}: {other_option} is there, or one lies "
                 "inside the other",
-                OWN_PLACES,
             )

@@ -12,7 +12,13 @@ from needleforce import recordings
 from needleforce.cli.options import Columns, DepthColumns, RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CHOOSE_TARE, CommandError
-from needleforce.recordings import ChannelRequest, ColumnError, ColumnMapping, Log
+from needleforce.recordings import (
+    ChannelRequest,
+    ColumnError,
+    ColumnMapping,
+    ColumnSpec,
+    Log,
+)
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
@@ -39,16 +45,17 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
     base = ColumnMapping(knowledge=knowledge)
     if columns.mapping:
         base = recordings.load_mapping(columns.mapping, knowledge)
-    channels = dict(base.channels)
-    rate_hz = base.rate_hz
-    if columns.rate is not None or columns.time is not None:
-        channels.pop("time", None)
-        rate_hz = columns.rate
+    channels: dict[str, ColumnSpec] = {}
     for name, channel in knowledge.channels.items():
         if (text := getattr(columns, name, None)) is not None:
             channels[name] = parse_column_spec(text, channel)
-    joints = getattr(columns, "joints", None) or base.joints
-    return replace(base, joints=joints, channels=channels, rate_hz=rate_hz)
+    options = ColumnMapping(
+        channels=channels,
+        rate_hz=columns.rate,
+        joints=getattr(columns, "joints", None) or (),
+        knowledge=knowledge,
+    )
+    return base.updated(options)
 
 
 def parse_window(option: str, text: str, first_s: float) -> TareWindow:
