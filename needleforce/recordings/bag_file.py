@@ -191,13 +191,6 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield log_ns, reader.deserialize(data, connection.msgtype)
 
 
-def bag_head(paths: Sequence[Path]) -> Table:
-    """Return the columns of a bag without rows."""
-    notes: list[str] = []
-    with _open_bag(paths, notes) as reader:
-        return _head(reader, paths[0], notes)
-
-
 def _head(reader: Any, path: Path, notes: Sequence[str]) -> Table:
     """Return all columns of a bag without rows, as its first messages have them.
 
@@ -252,7 +245,7 @@ def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
     Args:
         paths: Files of the bag, or folders of such.
         select: Returns of all columns, without rows, those that are needed, with the
-            joints that are.
+            joints that are; all are returned without rows if none is.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.

@@ -37,7 +37,10 @@ def read_npz(path: Path) -> Table:
     columns: dict[str, np.ndarray] = {}
     notes: list[str] = []
     start_ns = 0
-    with damage_errors(path, "npz archive"), np.load(path) as archive:
+    with (
+        damage_errors(path, "npz archive"),
+        np.load(path, allow_pickle=False) as archive,
+    ):
         size = sum(member.file_size for member in archive.zip.infolist())
         require_size(size, f"{path}: its arrays")
         for name in archive.files:

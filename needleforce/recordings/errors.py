@@ -9,8 +9,9 @@ from types import ModuleType
 from foundation.errors import NeedleforceError
 
 KNOWN_SUFFIX = (
-    "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
-    "or be a folder."
+    "Write it as .csv, .npz, .parquet or .mcap: save a sheet as CSV (in Excel: CSV "
+    "UTF-8), unpack what is packed (zstd -d); what is read may have other suffixes, or "
+    "be a folder."
 )
 
 
@@ -72,8 +73,8 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
     usual_advice = (
-        "Give columns of numbers with names of their own and one value, or one row, for "
-        "each time stamp; a bag needs `t_s`."
+        "Give columns of numbers with names of their own and one value, or one row, "
+        "for each time stamp; a bag needs `t_s`."
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleforce.recordings.bag_file import BAG_SUFFIXES, bag_head, is_bag, read_bag
+from needleforce.recordings.bag_file import BAG_SUFFIXES, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.columnar import (
     ARROW_SUFFIXES,
@@ -124,11 +124,6 @@ def _read_file(path: Path, request: ChannelRequest) -> Table:
         if name.endswith(CONTAINER_SUFFIXES):
             return read_container(path)
 
-    if conversion := knowledge.conversions.get(path.suffix.lower()):
-        raise FileAccessError(
-            f"{path} is not read as it is", f"To read it, {conversion}."
-        )
-
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}", KNOWN_SUFFIX
     )
@@ -223,7 +218,7 @@ def columns_of(source: Source, mapping: ColumnMapping) -> Table:
     """Return the columns of a recording, a bag's without rows; see `read_table`."""
     paths = paths_of(source)
     if all(map(is_bag, paths)):
-        return bag_head(paths)
+        return read_bag(paths, lambda head: replace(head, columns={}))
 
     return read_table(source, ChannelRequest(mapping))
 
