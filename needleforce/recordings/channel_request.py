@@ -5,8 +5,11 @@ from dataclasses import dataclass, field, replace
 
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
+    ChannelUnit,
     detect_columns,
     find_columns,
+    read_units,
+    several_fit,
     split_unit,
 )
 from needleforce.recordings.errors import ColumnError, MappingError
@@ -90,35 +93,63 @@ class ChannelRequest:
         request = self.with_layout(table)
         found = request.find_all(table)
         if "time" in request.mapping.channels:
-            found["time"] = request.find(table, self.channels["time"])
+            found["time"] = request.find_time(table)
         if not found.keys() >= {*self.required}:
             return None
 
         return frozenset(
             name if name in table.columns else name.rpartition("[")[0]
-            for columns in found.values()
-            for name in columns
+            for unit in found.values()
+            for name in unit.columns
         )
 
-    def find_all(self, table: Table) -> dict[str, list[str]]:
-        """Return the columns of the channels that are there; raises as `find` does."""
+    def find_all(self, table: Table) -> dict[str, ChannelUnit]:
+        """Return the channels that are there; raises as `find` does."""
         channels = [self.channels[name] for name in self.requested]
         found = {channel.name: self.find(table, channel) for channel in channels}
-        return {name: columns for name, columns in found.items() if columns}
+        return {name: unit for name, unit in found.items() if unit is not None}
 
-    def find(self, table: Table, channel: Channel) -> list[str]:
-        """Return the names of a channel's columns; none if no name looks like it.
-
-        They are the mapped ones, those of the robot's joints, or those of usual names.
+    def find(self, table: Table, channel: Channel) -> ChannelUnit | None:
+        """Return the columns of a channel and their units; None without such columns.
 
         Raises:
-            ColumnError: They are not there, or ambiguous.
+            ColumnError: Mapped columns are not there, or several would fit.
+            MappingError: There are units for another number of columns.
+            UnitError: The file contradicts itself or the mapping.
         """
         spec = self.mapping.channels.get(channel.name)
-        if spec is not None:
-            patterns = spec.patterns
-            return [name for each in patterns for name in find_columns(table, each)]
+        columns = (
+            self._find_unmapped(table, channel)
+            if spec is None
+            else [name for each in spec.patterns for name in find_columns(table, each)]
+        )
+        return read_units(table, channel, columns, spec) if columns else None
 
+    def find_time(self, table: Table) -> ChannelUnit:
+        """Return the column of time stamps, or those whose sum they are.
+
+        Raises:
+            ColumnError: There is none, or a pattern fits several.
+        """
+        unit = self.find(table, self.channels["time"])
+        spec = self.mapping.channels.get("time")
+        if unit is None:
+            columns = f"{table.describe()}{table.left_out()}"
+            raise ColumnError(
+                f"no time column found. Columns are: {columns}",
+                "Name it under `time` in the `mapping`, or give `rate_hz`.",
+            )
+        if spec is not None and len(unit.columns) > len(spec.patterns):
+            raise several_fit(self.channels["time"], unit.columns)
+
+        return unit
+
+    def _find_unmapped(self, table: Table, channel: Channel) -> list[str]:
+        """Return the columns of the robot's joints, or those of usual names, if any.
+
+        Raises:
+            ColumnError: Several would fit.
+        """
         others = {
             name
             for name, joints in table.joint_names.items()

@@ -16,8 +16,6 @@ from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
     describe_columns,
-    read_units,
-    several_fit,
 )
 from needleforce.recordings.errors import (
     ColumnError,
@@ -141,10 +139,9 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         text = ". ".join(filter(None, [str(error), note, wanted]))
         raise error.reworded(text) from error
 
-    units: list[ChannelUnit] = []
-    table = _with_time(table, request, found, units)
+    table, time = _with_time(table, request, found)
     notes = [*table.warnings, *filter(None, [note])]
-    measured = _read_channels(table, request, found, units, notes)
+    measured = _read_channels(table, request, found, notes)
     joint_counts = {key: v.shape[1] for key, v in measured.items() if v.ndim == 2}
     if len({*joint_counts.values()}) > 1:
         raise LogError(
@@ -153,27 +150,24 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         )
 
     first = next(iter(measured.values()))
-    rows = np.arange(len(first))
-    if request.mapping.rate_hz is not None:
-        t_s = rows / request.mapping.rate_hz
-    else:
-        time = request.channels["time"]
-        rows, t_s, said = ordered_rows(table.columns["t_s"], first, time, units[0])
-        notes += said
-
-    channels = {key: values[rows] for key, values in measured.items()}
+    rows, t_s, said = ordered_rows(
+        table.columns["t_s"], first, request.channels["time"], time
+    )
+    read = [found[name] for name in measured]
+    channels = {request.channels[name].key: v[rows] for name, v in measured.items()}
+    warnings = [*notes, *said, *_report_invalid(channels, rows)]
     return Log(
         t_s=t_s,
         channels=channels,
         start_ns=table.start_ns,
-        units=tuple(units),
+        units=tuple(unit for unit in (time, *read) if unit.columns),
         left_out=len(first) - len(rows),
-        warnings=tuple(dict.fromkeys([*notes, *_report_invalid(channels, rows)])),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
 
 
-def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]]:
-    """Return columns by channel.
+def _find_channels(table: Table, request: ChannelRequest) -> dict[str, ChannelUnit]:
+    """Return channels by name.
 
     Raises:
         ColumnError: A required one is not there, or none; or no joint has a name that
@@ -192,7 +186,7 @@ def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]
         raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
 
     pattern = request.mapping.joint_pattern
-    columns = {column for each in found.values() for column in each}
+    columns = {column for unit in found.values() for column in unit.columns}
     if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
         raise ColumnError(
             f"joints = {pattern!r} chooses joints by name, and neither columns nor "
@@ -203,64 +197,47 @@ def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]
 
 
 def _with_time(
-    table: Table,
-    request: ChannelRequest,
-    found: Mapping[str, Sequence[str]],
-    units: list[ChannelUnit],
-) -> Table:
-    """Return a table with one row for each time stamp, and these in s as `t_s`.
+    table: Table, request: ChannelRequest, found: Mapping[str, ChannelUnit]
+) -> tuple[Table, ChannelUnit]:
+    """Return a table with one row for each time stamp, these in s as `t_s`.
 
-    There are none where the mapping gives a rate; the unit of others is added.
+    Returns:
+        The table, and what the stamps were read from: no column where a rate is given.
 
     Raises:
         ColumnError: There is no time stamp.
         LogError: Columns differ in length.
     """
+    columns = {name: unit.columns for name, unit in found.items()}
+    used = [column for names in columns.values() for column in names]
     has_clocks = bool(table.clocks)
     if has_clocks:
         table = aligned(table, _find_reference(table, found))
 
-    if request.mapping.rate_hz is None:
-        units.append(time_unit(table, request))
-
-    used = [*found.values(), *(unit.columns for unit in units)]
-    lengths = {name: len(table.values(name)) for names in used for name in names}
+    rate_hz = request.mapping.rate_hz
+    numbered = ChannelUnit("time", (), (), ())
+    time = request.find_time(table) if rate_hz is None else numbered
+    lengths = {name: len(table.values(name)) for name in (*used, *time.columns)}
     if len({*lengths.values()}) > 1:
         raise LogError(f"columns differ in their numbers of rows: {lengths}")
-    if not units:
-        return table
 
-    t_s, start_ns = read_times(table, request.channels["time"], units[0])
+    t_s = np.arange(lengths[used[0]]) / (rate_hz or 1.0)
+    start_ns = table.start_ns
+    if time.columns:
+        t_s, start_ns = read_times(table, request.channels["time"], time)
     table = replace(table, start_ns=start_ns, columns={**table.columns, "t_s": t_s})
-    parted = table if has_clocks else with_own_clocks(table, found)
-    return aligned(parted, _find_reference(parted, found)) if parted.clocks else table
+    parted = table if has_clocks or rate_hz else with_own_clocks(table, columns)
+    if parted.clocks:
+        parted = aligned(parted, _find_reference(parted, found))
+
+    return parted, time
 
 
-def _find_reference(table: Table, found: Mapping[str, Sequence[str]]) -> str:
+def _find_reference(table: Table, found: Mapping[str, ChannelUnit]) -> str:
     """Return the clock whose stamps are the rows: that of the torques or the force."""
     usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
-    column, *_ = next(iter([*usual, *found.values()]))
+    column, *_ = next(iter([*usual, *found.values()])).columns
     return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
-
-
-def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
-    """Return the column of time stamps, or those whose sum they are, and their units.
-
-    Raises:
-        ColumnError: There is none.
-    """
-    channel = request.channels["time"]
-    spec = request.mapping.channels.get("time")
-    columns = request.find(table, channel)
-    if spec is not None and len(columns) > len(spec.patterns):
-        raise several_fit(channel, columns)
-    if not columns:
-        raise ColumnError(
-            f"no time column found. Columns are: {table.describe()}{table.left_out()}",
-            "Name it under `time` in the `mapping`, or give `rate_hz`.",
-        )
-
-    return read_units(table, channel, columns, spec)
 
 
 def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
@@ -305,11 +282,10 @@ def ordered_rows(
 def _read_channels(
     table: Table,
     request: ChannelRequest,
-    found: Mapping[str, Sequence[str]],
-    units: list[ChannelUnit],
+    found: Mapping[str, ChannelUnit],
     notes: list[str],
 ) -> dict[str, Array]:
-    """Return channels in SI units by key; their units, and what is odd, are added.
+    """Return channels in SI units by name; notes on what is odd are added.
 
     Raises:
         LogError: A required or mapped channel has a column without a finite value.
@@ -317,10 +293,9 @@ def _read_channels(
     """
     measured: dict[str, Array] = {}
     missing = request.mapping.knowledge.missing_values
-    for name, columns in found.items():
+    for name, unit in found.items():
         channel = request.channels[name]
-        unit = read_units(table, channel, columns, request.mapping.channels.get(name))
-        raw = [table.values(column) for column in columns]
+        raw = [table.values(column) for column in unit.columns]
         for number in missing:
             if any(_is_far_outside(values, number) for values in raw):
                 notes.append(f"{name}: {number:g} is far from all else: taken for none")
@@ -330,8 +305,7 @@ def _read_channels(
         is_known = np.isfinite(values).any(axis=0)
         if is_known.all() or not len(values):
             notes += _check_sizes(channel, unit, np.abs(values))
-            units.append(unit)
-            measured[channel.key] = values
+            measured[name] = values
             continue
 
         joints = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())

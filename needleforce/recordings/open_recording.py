@@ -31,7 +31,6 @@ from needleforce.recordings.log import (
     log_of_table,
     ordered_rows,
     read_times,
-    time_unit,
 )
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
@@ -187,7 +186,7 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         table = replace(table, columns=columns, warnings=())
 
     channel = request.channels["time"]
-    time = time_unit(table, request.with_layout(table))
+    time = request.with_layout(table).find_time(table)
     t_s, start_ns = read_times(table, channel, time)
     signals = {
         column if column == name else f"{name}/{column}": column

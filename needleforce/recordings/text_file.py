@@ -205,7 +205,7 @@ def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
         if header >= 0 or (not tables and 1 < count >= len(cells) / 2):
             names = rows[header] if header >= 0 else []
             # LabVIEW leaves the cells below its last name away.
-            named = len(names) - (names[-1:] == ["Comment"])
+            named = len(names) - ([each.lower() for each in names[-1:]] == ["comment"])
             tables.append(_Start(0, delimiter, header, place, max(len(cells), named)))
         if tables and len(cells) <= tables[-1].width:
             number_count = tables[-1].number_count + count

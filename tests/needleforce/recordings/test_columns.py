@@ -224,7 +224,7 @@ def test_patterns_that_fit_nothing_or_not_only_one_are_refused(pattern):
         (mapped(force="pair"), (), ColumnError, "pair"),
         (mapped(q=("a", "short")), (), LogError, "short"),
         (mapped(depth="short"), (), LogError, "short"),
-        (mapped(q="pair", tau="a"), (), LogError, "tau_Nm"),
+        (mapped(q="pair", tau="a"), (), LogError, "tau"),
         (mapped(depth="empty"), ("depth",), LogError, "depth_m"),
         (
             mapped(q=ColumnSpec(columns="pair", scale=(1.0, 2.0, 3.0))),
