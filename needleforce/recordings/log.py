@@ -215,8 +215,11 @@ def _with_time(
         table = aligned(table, _find_reference(table, found))
 
     rate_hz = request.mapping.rate_hz
-    numbered = ChannelUnit("time", (), (), ())
-    time = request.find_time(table) if rate_hz is None else numbered
+    time = ChannelUnit("time", (), (), ())
+    if rate_hz is None and has_clocks:
+        time = ChannelUnit("time", ("t_s",), ("s",), ("format of the file",))
+    elif rate_hz is None:
+        time = request.find_time(table)
     lengths = {name: len(table.values(name)) for name in (*used, *time.columns)}
     if len({*lengths.values()}) > 1:
         raise LogError(f"columns differ in their numbers of rows: {lengths}")

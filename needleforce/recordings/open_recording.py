@@ -181,8 +181,9 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         raise FormatError("expected time stamps and a signal")
     if all(column.startswith("column_") for column in table.columns):
         first, *others = table.columns.values()
-        time_name = "column_1" if "time" in request.mapping.channels else "t_s"
-        columns = {time_name: first, name: np.column_stack(others)}
+        time_name = "column_1" if "time" in request.mapping.channels else "time"
+        signal = others[0] if len(others) == 1 else np.column_stack(others)
+        columns = {time_name: first, name: signal}
         table = replace(table, columns=columns, warnings=())
 
     channel = request.channels["time"]

@@ -18,6 +18,7 @@ from needleforce.recordings import (
     ColumnMapping,
     ColumnSpec,
     Log,
+    UnitError,
 )
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.mapping import parse_column_spec
@@ -155,7 +156,7 @@ def has_channels(
     table = recordings.columns_of(source, mapping)
     try:
         return ChannelRequest(mapping, tuple(channels)).columns(table) is not None
-    except ColumnError:
+    except (ColumnError, UnitError):
         if ChannelRequest(mapping, tuple(others)).columns(table) is None:
             raise
         # `identify` asks for no joints, so it does not matter how many might fit.

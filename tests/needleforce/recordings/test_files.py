@@ -165,13 +165,24 @@ def test_of_several_demonstrations_one_has_to_be_named(tmp_path):
     np.testing.assert_array_equal(read_log(path, one, required=["q"])["q_rad"], q_rad)
 
 
-def test_what_stands_for_no_value_is_none(tmp_path):
+@pytest.mark.parametrize(
+    ("values", "known"),
+    [
+        ([1.0, -999.0, 3.0, -999.0], [True, False, True, False]),
+        ([-9999.0, 2.0, 2.0, 2.0], [False, True, True, True]),
+        ([1.0, -999.0, -9999.0, -99.9], [True, False, False, True]),
+        ([120.0, -999.0, -640.0, -80.0], [True] * 4),  # as in mN
+        ([-998.0, -999.0, -1000.0, -998.5], [True] * 4),
+    ],
+)
+def test_a_number_far_from_all_else_stands_for_no_value(tmp_path, values, known):
     path = tmp_path / "log.csv"
-    path.write_text("t_s,depth_mm,force_N\n0,1,2\n1,-999,2\n2,3,-9999.0\n3,4,-99.9\n")
-    log = read_log(path)
+    write_table(path, {"t_s": np.arange(4.0) / 10, "force_mN": values})
+    log = read_log(path, required=["force"])
 
-    np.testing.assert_array_equal(log["depth_m"], [0.001, np.nan, 0.003, 0.004])
-    np.testing.assert_array_equal(log["force_N"], [2.0, 2.0, np.nan, -99.9])
+    expected = np.where(known, np.array(values) / 1e3, np.nan)
+    np.testing.assert_allclose(log["force_N"], expected)
+    assert any("-999" in text for text in log.warnings) is not all(known)
 
 
 @pytest.mark.parametrize(("unit", "name"), [("ns", "time"), ("ms", "time_ms")])
