@@ -34,29 +34,30 @@ def read_npz(path: Path) -> Table:
     Raises:
         FormatError: It is no such archive, or damaged.
     """
-    columns: dict[str, np.ndarray] = {}
-    notes: list[str] = []
-    start_ns = 0
+    arrays: dict[str, np.ndarray] = {}
     with (
         damage_errors(path, "npz archive"),
         np.load(path, allow_pickle=False) as archive,
     ):
+        names = archive.files
         size = sum(member.file_size for member in archive.zip.infolist())
         require_size(size, f"{path}: its arrays")
-        for name in archive.files:
-            values = np.empty(0, dtype=object)
+        for name in names:
             with suppress(ValueError):  # objects
-                values = archive[name]
-            is_signal = values.ndim in (1, 2) and values.size
-            if name == START_KEY and values.ndim == 0:
-                start_ns = int(values)
-            elif is_signal and values.dtype.kind in "fiub":
-                columns[name] = values
-            elif values.ndim:
-                kind = f"{values.dtype} {values.shape}"
-                notes.append(f"column {name!r} was left out: {kind}")
+                arrays[name] = archive[name]
 
-    return Table(columns=columns, warnings=tuple(notes), start_ns=start_ns)
+    single = {name: array for name, array in arrays.items() if not array.ndim}
+    columns = {
+        name: array
+        for name, array in arrays.items()
+        if array.dtype.kind in "fiub" and array.ndim in (1, 2) and array.size
+    }
+    others = [name for name in names if name not in (*single, *columns)]
+    return Table(
+        columns=columns,
+        warnings=tuple(f"array {name!r} was left out: no columns" for name in others),
+        start_ns=int(single.get(START_KEY, 0)),
+    )
 
 
 def read_arrow(path: Path) -> Table:

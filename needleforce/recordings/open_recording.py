@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os.path import commonprefix
 from pathlib import Path
@@ -40,13 +40,14 @@ from needleforce.recordings.time_stamps import to_nanoseconds
 Source = str | Path | Sequence[str | Path]
 """A recording: a file, a folder with a file for each signal, or such files."""
 
-SUFFIXES = (
-    *CSV_SUFFIXES,
-    ".npz",
-    *ARROW_SUFFIXES,
-    *CONTAINER_SUFFIXES,
-    *BAG_SUFFIXES,
-)
+READERS: dict[str, Callable[[Path], Table]] = {
+    ".npz": read_npz,
+    **dict.fromkeys(ARROW_SUFFIXES, read_arrow),
+    **dict.fromkeys(CONTAINER_SUFFIXES, read_container),
+}
+"""By the suffix of files that are neither text nor bags."""
+
+SUFFIXES = (*CSV_SUFFIXES, *READERS, *BAG_SUFFIXES)
 """Of the files that are read."""
 
 
@@ -107,21 +108,16 @@ def _select(head: Table, request: ChannelRequest) -> Table:
 def _read_file(path: Path, request: ChannelRequest) -> Table:
     """Return the table of one file; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
-    name = path.name.lower()
     if is_bag(path):
         return read_bag([path], lambda head: head)
 
     with file_errors(path):
-        if name == STANDARD_STREAM:
+        if str(path) == STANDARD_STREAM:
             return read_text(sys.stdin.buffer.read(), "stdin", knowledge)
-        if path.is_fifo() or name.endswith(CSV_SUFFIXES):
+        if path.is_fifo() or path.name.lower().endswith(CSV_SUFFIXES):
             return read_text(path.read_bytes(), str(path), knowledge)
-        if name.endswith(".npz"):
-            return read_npz(path)
-        if name.endswith(ARROW_SUFFIXES):
-            return read_arrow(path)
-        if name.endswith(CONTAINER_SUFFIXES):
-            return read_container(path)
+        if reader := READERS.get(path.suffix.lower()):
+            return reader(path)
 
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}", KNOWN_SUFFIX

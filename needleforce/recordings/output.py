@@ -106,9 +106,7 @@ def open_table(
     else:
         name = str(path)
         writer = _find_writer(Path(path))
-        if not overwrites:
-            _require_new(Path(path))
-
+        require_place(Path(path), overwrites=overwrites)
         is_growing = is_live and name.lower().endswith((".csv", ".mcap"))
         file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 
@@ -180,34 +178,30 @@ def check_writable(path: str | Path, *, overwrites: bool = True) -> None:
     """
     if str(path) != STANDARD_STREAM:
         _find_writer(Path(path))
-        require_place(Path(path))
-        if not overwrites:
-            _require_new(Path(path))
+        require_place(Path(path), overwrites=overwrites)
 
 
-def require_place(path: Path) -> None:
-    """Check that a file can stand at a path; `FileAccessError` if not."""
-    with file_errors(path, "write"):
-        if not path.parent.is_dir():
-            raise FileAccessError(
-                f"cannot write {path}: there is no folder {path.parent}",
-            )
+def require_place(path: Path, *, overwrites: bool = True) -> None:
+    """Check that a file can stand at a path; a pipe or a device may be there.
 
-        if path.is_dir():
-            raise FileAccessError(f"cannot write {path}: it is a folder")
-
-
-def _require_new(path: Path) -> None:
-    """Check that no file is at a path; a pipe or a device may be.
+    Args:
+        path: The place.
+        overwrites: Whether a file that is there may be replaced.
 
     Raises:
-        FileAccessError: There is one, which would be lost.
+        FileAccessError: There is no folder, it is one, or a file would be lost.
     """
     with file_errors(path, "write"):
-        if path.is_file():
+        if not overwrites and path.is_file():
             raise FileAccessError(
                 f"{path} exists", "Give another name, or overwrite it (`--overwrite`)."
             )
+        if not path.parent.is_dir():
+            raise FileAccessError(
+                f"cannot write {path}: there is no folder {path.parent}"
+            )
+        if path.is_dir():
+            raise FileAccessError(f"cannot write {path}: it is a folder")
 
 
 def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> None:

@@ -198,22 +198,17 @@ def rows_in_order(t_s: Array, values: Array) -> OrderedRows:
             share stamps or came in bursts, so that stamps do not tell their times.
     """
     rows = np.flatnonzero(np.isfinite(t_s))
-    notes: list[str] = []
-    if len(rows) < len(t_s):
-        first = int(np.argmin(np.isfinite(t_s)))
-        count = len(t_s) - len(rows)
-        notes.append(
-            f"time: rows without a stamp, left out: {count} (first: row {first + 1})"
-        )
-
     is_bad = _is_contradicted(t_s[rows])
-    if is_bad.any():
-        first = rows[np.argmax(is_bad)]
-        notes.append(
-            f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
-            f"(first: row {first + 1}, {t_s[first]:.13g} s)"
-        )
-
+    left_out = {
+        "no": np.flatnonzero(~np.isfinite(t_s)),
+        "a contradicted": rows[is_bad],
+    }
+    notes = [
+        f"time: rows with {what} stamp, left out: {len(which)} (first: row "
+        f"{which[0] + 1}, {t_s[which[0]]:.13g} s)"
+        for what, which in left_out.items()
+        if len(which)
+    ]
     rows = rows[~is_bad]
     lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
     if lateness_s.any():
