@@ -6,6 +6,7 @@ up to them would take all memory.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from itertools import groupby, pairwise, product
 from typing import NamedTuple
 
@@ -99,15 +100,6 @@ def written_unit(name: str) -> str | None:
     return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
-def is_column(table: Table, name: str) -> bool:
-    """Return whether a table has a column, or an element of one such as `wrench[2]`."""
-    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
-    if name in table.columns or element is None:
-        return name in table.columns
-    array = table.columns.get(element[1])
-    return array is not None and array.shape[1:] > (int(element[2]),)
-
-
 def find_columns(table: Table, pattern: str) -> list[str]:
     """Return the names of the columns that a name or pattern stands for.
 
@@ -120,7 +112,8 @@ def find_columns(table: Table, pattern: str) -> list[str]:
     Raises:
         ColumnError: There is no such column, two have one number, or one is missing.
     """
-    if is_column(table, pattern):
+    with suppress(KeyError):
+        table.values(pattern)
         return [pattern]
 
     path = r"(?:.*/)?" if pattern.startswith("*/") else ""

@@ -263,7 +263,7 @@ def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array
         return _values_in_si(columns, channel, unit), table.start_ns
 
     start_ns = start_of_clock(first_valid_stamp(stamps_ns))
-    t_s = np.full(len(known), np.nan)
+    t_s = np.full(known.shape, np.nan)
     t_s[known] = to_seconds(stamps_ns, start_ns)
     return t_s, start_ns
 

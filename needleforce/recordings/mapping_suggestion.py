@@ -60,9 +60,11 @@ def suggest_mapping(
             continue
 
         used |= {*unit.columns}
+        column, *others = unit.columns
+        first_unit, *_ = unit.units
         values = {
-            "columns": unit.columns if len(unit.columns) > 1 else unit.columns[0],
-            "unit": unit.units if len({*unit.units}) > 1 else unit.units[0],
+            "columns": unit.columns if others else column,
+            "unit": unit.units if len({*unit.units}) > 1 else first_unit,
             "scale": unit.scale,
         }
         entries = ", ".join(f"{key} = {json.dumps(v)}" for key, v in values.items())

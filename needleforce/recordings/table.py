@@ -77,12 +77,21 @@ class Table:
     empty: tuple[str, ...] = ()
 
     def values(self, name: str) -> np.ndarray:
-        """Return a column, or an element of one such as `wrench[2]`."""
-        if name in self.columns:
+        """Return a column, or an element of one such as `wrench[2]`.
+
+        Raises:
+            KeyError: There is no such column.
+        """
+        element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
+        if name in self.columns or element is None:
             return self.columns[name]
 
-        head, _, index = name.removesuffix("]").rpartition("[")
-        return self.columns[head][:, int(index)]
+        array = self.columns[element[1]]
+        index = int(element[2])
+        if array.shape[1:] <= (index,):
+            raise KeyError(name)
+
+        return array[:, index]
 
     def width(self, name: str) -> int:
         """Return how many values a row has in a column, or an element of one."""

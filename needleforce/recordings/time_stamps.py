@@ -76,7 +76,7 @@ def with_own_clocks(table: Table, found: Mapping[str, Sequence[str]]) -> Table:
     samples: dict[str, NDArray[np.bool_]] = {}
     for name, columns in found.items():
         rows = np.column_stack([t_s, *map(table.values, columns)])
-        samples[name] = np.isfinite(rows).all(axis=1)
+        samples[name] = np.isfinite(rows.sum(axis=1))
 
     shared = np.logical_and.reduce([*samples.values()])
     fewest = min(map(np.count_nonzero, samples.values()))
