@@ -241,7 +241,7 @@ def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
         if isinstance(item, library.Dataset) and item.ndim in (1, 2):
             require_size(item.nbytes, f"{path}: {name}")
             values = item[()].T if is_matlab else item[()]
-            values = values[:, 0] if values.shape[1:] == (1,) else values
+            values = values.ravel() if 1 in values.shape else values
             arrays.update({name: values} if _is_signal(values) else {})
 
     with library.File(path) as file:
@@ -278,5 +278,14 @@ def _read_tdms(path: Path) -> Table:
             n: p["unit_string"] for n, p in properties.items() if "unit_string" in p
         },
         clocks={name: name for name in clocked},
-        stamps_ns={n: to_nanoseconds(c.time_track(), 0) for n, c in clocked.items()},
+        stamps_ns={name: _stamps_of(channel) for name, channel in clocked.items()},
     )
+
+
+def _stamps_of(channel: Any) -> np.ndarray:
+    """Return the time stamps [ns] of a channel of a TDMS file, shape (n,)."""
+    waveform = channel.properties
+    start = np.datetime64(waveform.get("wf_start_time", 0), "ns")
+    since_s = waveform["wf_increment"] * np.arange(len(channel))
+    t_s = waveform.get("wf_start_offset", 0.0) + since_s
+    return to_nanoseconds(t_s, int(start.astype(np.int64)))

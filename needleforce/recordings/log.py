@@ -301,7 +301,7 @@ def _read_channels(
         raw = [table.values(column) for column in unit.columns]
         for number in missing:
             if any(_is_far_outside(values, number) for values in raw):
-                notes.append(f"{name}: {number:g} is far from all else: taken for none")
+                notes.append(f"{name}: {number:g}, far from all else, is no value")
                 raw = [np.where(values == number, np.nan, values) for values in raw]
 
         values = _values_in_si(raw, channel, unit)

@@ -110,6 +110,8 @@ def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
         ("secs", "nsecs", 1e9, None),
         ("sec", "nanosec", 1e9, None),
         ("header.stamp.secs", "header.stamp.nsecs", 1e9, None),
+        ("/cell/header/stamp/sec", "/cell/header/stamp/nanosec", 1e9, None),
+        ("header_stamp_sec", "header_stamp_nanosec", 1e9, None),
         ("t.sec", "t.usec", 1e6, "t.sec:s+t.usec:us"),
         ("a", "b", 1e3, "a:s+b:ms"),
     ],
