@@ -63,13 +63,10 @@ class ChannelRequest:
         """The channels that are looked for: required ones first, none left out.
 
         Raises:
-            MappingError: One does not exist, or the mapping leaves out one that is
-                required.
+            MappingError: The mapping leaves out one that is required.
         """
         mapped = (name for name in self.named if name in self.mapping.channels)
         wanted = (*self.required, *self.optional, *mapped)
-        for name in wanted:
-            known_channel(name, self.mapping.knowledge)
         if forgone := self.mapping.left_out & {*self.required}:
             raise MappingError(
                 f"{', '.join(forgone)} = {LEFT_OUT!r} leaves out a channel that is "
@@ -104,8 +101,13 @@ class ChannelRequest:
         )
 
     def find_all(self, table: Table) -> dict[str, ChannelUnit]:
-        """Return the channels that are there; raises as `find` does."""
-        channels = [self.channels[name] for name in self.requested]
+        """Return the channels that are there; raises as `find` does.
+
+        Raises:
+            MappingError: A channel that is looked for does not exist.
+        """
+        knowledge = self.mapping.knowledge
+        channels = [known_channel(name, knowledge) for name in self.requested]
         found = {channel.name: self.find(table, channel) for channel in channels}
         return {name: unit for name, unit in found.items() if unit is not None}
 

@@ -27,20 +27,11 @@ class RecordingError(NeedleforceError):
 class FileAccessError(RecordingError, OSError):
     """A file cannot be opened, or its suffix names no known format."""
 
-    usual_advice = (
-        "Check the name, the permissions and the space that is left; give each output "
-        "a place of its own, in a folder that exists."
-    )
+    usual_advice = "Check the name, the permissions and the space that is left."
 
 
 class FormatError(RecordingError, ValueError):
     """A file could be opened, but nothing usable could be read from it."""
-
-    usual_advice = (
-        "Give a header with the names of the columns and rows of numbers; copy a "
-        "damaged file again; messages of an SQLite bag may be recovered with: sqlite3 "
-        "FILE .recover."
-    )
 
 
 class ColumnError(RecordingError, LookupError):
@@ -135,7 +126,9 @@ def damage_errors(path: str | Path, kind: str) -> Iterator[None]:
         if is_of_system or isinstance(error, RecordingError):
             raise
         raise FormatError(
-            f"{path} is no {kind} that can be read, or damaged ({error})"
+            f"{path} is no {kind} that can be read, or damaged ({error})",
+            "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
+            "FILE .recover.",
         ) from error
 
 

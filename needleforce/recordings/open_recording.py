@@ -118,6 +118,7 @@ def _read_file(path: Path, request: ChannelRequest) -> Table:
             return read_text(path.read_bytes(), str(path), knowledge)
         if reader := READERS.get(path.suffix.lower()):
             return reader(path)
+        path.stat()  # a name that is not there may lack its suffix
 
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}", KNOWN_SUFFIX

@@ -21,6 +21,8 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.table import STANDARD_STREAM, TableColumns, TableLabels
 from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
 
+OWN_PLACES = "Give each output a place of its own, in a folder that exists."
+
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
     """Return columns as arrays; `LogError` if `write_table` cannot write them."""
@@ -198,10 +200,10 @@ def require_place(path: Path, *, overwrites: bool = True) -> None:
             )
         if not path.parent.is_dir():
             raise FileAccessError(
-                f"cannot write {path}: there is no folder {path.parent}"
+                f"cannot write {path}: there is no folder {path.parent}", OWN_PLACES
             )
         if path.is_dir():
-            raise FileAccessError(f"cannot write {path}: it is a folder")
+            raise FileAccessError(f"cannot write {path}: it is a folder", OWN_PLACES)
 
 
 def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> None:
@@ -230,4 +232,5 @@ def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> 
             raise FileAccessError(
                 f"cannot write {option} {path}: {other_option} is there, or one lies "
                 "inside the other",
+                OWN_PLACES,
             )

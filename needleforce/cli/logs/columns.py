@@ -21,6 +21,7 @@ from needleforce.recordings import (
     UnitError,
 )
 from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import ChannelUnit
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
 from needleforce.session_replay import TareWindow
@@ -93,8 +94,8 @@ def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
         CommandError: The text is no speed above zero.
     """
     match = re.fullmatch(r"\s*(\d*\.?\d+(?:e[-+]?\d+)?)\s*(\D.*)", text, re.IGNORECASE)
-    unit = channel.units.find(match[2]) if match else None
-    speed_m_s = float(match[1]) * channel.units[unit] if match and unit else 0.0
+    spelled = channel.units.find(match[2]) if match else None
+    speed_m_s = float(match[1]) * channel.units[spelled] if match and spelled else 0.0
     if not 0.0 < speed_m_s <= channel.at_most:
         raise CommandError(
             f"--constant-speed {text}: expected a speed and its unit, one of "
@@ -103,7 +104,9 @@ def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
     depth_m = speed_m_s * (log.t_s - log.t_s[0])
     speeds_m_s = np.full(len(log), speed_m_s)
     channels = {**log.channels, "depth_m": depth_m, "speed_m_s": speeds_m_s}
-    return replace(log, channels=channels)
+    column = f"{text} since the first row"
+    unit = ChannelUnit("depth", (column,), ("m",), ("--constant-speed",))
+    return replace(log, channels=channels, units=(*log.units, unit))
 
 
 def needle_channels(columns: DepthColumns) -> tuple[str, ...]:
