@@ -106,12 +106,18 @@ def replay(
         if len(estimates) % 10_000 == 0:
             progress(len(estimates) / rows)
     times_s.setflags(write=False)
-    counts = Counter(estimate.status for estimate in estimates)
+    first_contacts_m = np.array(contacts_m, dtype=np.float64)  # None becomes nan
+    contact_row = int(np.argmax(np.isfinite(first_contacts_m)))
+    # Before contact a force far below zero is the zero of its sensor.
+    counts = Counter(
+        estimate.status
+        for row, estimate in enumerate(estimates)
+        if row >= contact_row or estimate.status is not SampleStatus.NEEDLE_PULLED
+    )
     is_used = np.array([estimate.status.is_used for estimate in estimates])
     # A wrong unit may be why most rows were rejected.
     is_judged = is_used | (2 * np.count_nonzero(is_used) < rows)
     judged_m = np.where(is_judged, depths_m, np.nan)
-    first_contacts_m = np.array(contacts_m, dtype=np.float64)  # None becomes nan
     free_air_N = _find_free_air_level(first_contacts_m, forces_N)
     # Who reads a log reports a NaN or a late stamp.
     of_reader = (
