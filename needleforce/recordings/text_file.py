@@ -109,22 +109,22 @@ def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
         decimal = ","
         notes.append("decimal commas read as points")
 
-    try:
-        with warnings.catch_warnings(record=True, action="always") as caught:
-            frame = pd.read_csv(
-                io.BytesIO(data),
-                sep=start.delimiter,
-                skiprows=lines[start.first_row][0],
-                header=None,
-                names=names,
-                index_col=False,  # a delimiter may end each row
-                comment="#",
-                decimal=decimal,
-                skipinitialspace=True,
-                on_bad_lines="warn",
-            )
-    except pd.errors.ParserError as error:
-        raise FormatError(f"{name}: {error}") from error
+    with (
+        damage_errors(name, "table"),
+        warnings.catch_warnings(record=True, action="always") as caught,
+    ):
+        frame = pd.read_csv(
+            io.BytesIO(data),
+            sep=start.delimiter,
+            skiprows=lines[start.first_row][0],
+            header=None,
+            names=names,
+            index_col=False,  # a delimiter may end each row
+            comment="#",
+            decimal=decimal,
+            skipinitialspace=True,
+            on_bad_lines="warn",
+        )
 
     faults = "".join(str(each.message) for each in caught)
     if count := faults.count("Skipping line"):
