@@ -106,7 +106,19 @@ def replay(
         if len(estimates) % 10_000 == 0:
             progress(len(estimates) / rows)
     times_s.setflags(write=False)
-    counts = Counter(estimate.status for estimate in estimates)
+    first_contacts_m = np.array(contacts_m, dtype=np.float64)  # None becomes nan
+    contact_row = int(np.argmax(np.isfinite(first_contacts_m)))
+    # Before contact a force far below zero is the zero of its sensor.
+    counts = Counter(
+        estimate.status
+        for row, estimate in enumerate(estimates)
+        if row >= contact_row or estimate.status is not SampleStatus.NEEDLE_PULLED
+    )
+    is_used = np.array([estimate.status.is_used for estimate in estimates])
+    # A wrong unit may be why most rows were rejected.
+    is_judged = is_used | (2 * np.count_nonzero(is_used) < rows)
+    judged_m = np.where(is_judged, depths_m, np.nan)
+    free_air_N = _find_free_air_level(first_contacts_m, forces_N)
     # Who reads a log reports a NaN or a late stamp.
     of_reader = (
         SampleStatus.OK,
@@ -121,16 +133,39 @@ def replay(
     return Replay(
         t_s=times_s,
         estimates=tuple(estimates),
-        contact_depths_m=np.array(contacts_m, dtype=np.float64),  # None becomes nan
+        contact_depths_m=first_contacts_m,
         layers=identifier.layers,
-        hints=(*_suspect(depths_m, forces_N, speeds_m_s), *reports),
+        hints=(*_suspect(judged_m, forces_N - free_air_N, speeds_m_s), *reports),
     )
+
+
+def _find_free_air_level(contact_depths_m: Array, force_N: Array) -> float:
+    """Return what a force sensor reads before contact [N]: an offset has no sign.
+
+    It is the median of the first tenth of the rows before contact, since a force of the
+    wrong sign lets contact be found late; zero where a log begins in contact.
+
+    Args:
+        contact_depths_m: Of the first contact as known at each row, nan before.
+        force_N: Axial force.
+    """
+    is_known = np.isfinite(contact_depths_m)
+    before = int(np.argmax(is_known)) if is_known.any() else len(is_known)
+    first_N = force_N[: before // 10]
+    first_N = first_N[np.isfinite(first_N)]
+    return float(np.median(first_N)) if first_N.size else 0.0
 
 
 def _suspect(
     depth_m: Array, force_N: Array, speed_m_s: Array | None
 ) -> Iterator[Suspicion]:
-    """Yield suspicions about signs and units of columns, shape (n,), if any."""
+    """Yield suspicions about signs and units of columns, shape (n,), if any.
+
+    Args:
+        depth_m: Tip depth; nan in rows that are not judged.
+        force_N: Axial force, from its level in free air.
+        speed_m_s: Rate of depth, if there is one.
+    """
     finite_m = depth_m[np.isfinite(depth_m)]
     span_m = float(np.ptp(finite_m)) if finite_m.size else 0.0
     if span_m > 1.0:  # no needle goes deeper

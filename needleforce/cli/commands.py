@@ -32,6 +32,7 @@ from needleforce.cli.options import (
     Seed,
     SensorOptions,
     Source,
+    Sources,
     TareSeconds,
     app,
     between,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
 @app.command(name="force", group=LOGS)
 def force_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     output: Output = Output(),
@@ -78,7 +79,7 @@ def force_command(
 
 @app.command(name="check", group=LOGS)
 def check_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     json: Annotated[bool, Parameter(group=OUTPUT, help="Print JSON.")] = False,
@@ -100,7 +101,7 @@ def check_command(
 
 @app.command(name="identify", group=LOGS)
 def identify_command(
-    log: Source,
+    log: Sources,
     /,
     *,
     output: Output = Output(),
@@ -152,7 +153,7 @@ def report_command(
     """
     from needleforce.cli.logs.replay import report
 
-    return report(log, folder, robot, sensor, columns, options, plan)
+    return report((log,), folder, robot, sensor, columns, options, plan)
 
 
 @app.command(name="view", group=LOGS)

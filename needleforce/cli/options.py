@@ -75,16 +75,21 @@ Seed = Annotated[
     ),
 ]
 
-Source = Annotated[
-    str,
-    Parameter(
-        name="LOG",
-        group=LOG,
-        allow_leading_hyphen=True,
-        help="Recording: .csv, .csv.gz, .txt, .lvm, .npz, .parquet, or a ROS bag "
-        "(.mcap, .db3, .bag); - for standard input.",
-    ),
+_LOG = Parameter(
+    name="LOG",
+    group=LOG,
+    allow_leading_hyphen=True,
+    help="Recording: .csv, .csv.gz, .txt, .lvm, .npz, .parquet, .h5, .mat, .tdms, or a "
+    "ROS bag (.mcap, .db3, .bag); a folder with one file for each signal; - for "
+    "standard input.",
+)
+
+Source = Annotated[str, _LOG]
+
+Sources = Annotated[
+    tuple[str, ...], _LOG, Parameter(help=f"{_LOG.help} Several files are one log.")
 ]
+"""A recording, perhaps of several files."""
 
 TareSeconds = Annotated[
     float, Parameter(metavar="S", group=TARE, validator=between(1e-3, 1e6))
@@ -198,6 +203,7 @@ class JointColumns(Columns):
         dq: Joint velocity (rad/s, deg/s, rpm); none to estimate it from the positions.
         tau: Measured joint torque (Nm, mNm, Nmm, Ncm, kNm, in-lbf, ft-lbf).
         tau_ext: External joint torque as the robot estimates it (units as of tau).
+        force: Axial force of a sensor to compare with (units as of identify --force).
     """
 
     joints: Annotated[str | None, Parameter(metavar="NAMES")] = None
@@ -205,6 +211,7 @@ class JointColumns(Columns):
     dq: Annotated[str | None, _COLUMN] = None
     tau: Annotated[str | None, _COLUMN] = None
     tau_ext: Annotated[str | None, _COLUMN] = None
+    force: Annotated[str | None, _COLUMN] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,11 +224,14 @@ class DepthColumns(Columns):
         speed: Rate of depth (m/s, cm/s, mm/s, um/s, m/min, mm/min, inch/s, inch/min).
         force: Axial force, positive when tissue pushes back (N, mN, cN, kN, gf, kgf,
             lbf, ozf).
+        constant_speed: Speed of the needle with its unit, 2.3mm/s, in place of a depth
+            that the log lacks.
     """
 
     depth: Annotated[str | None, _COLUMN] = None
     speed: Annotated[str | None, _COLUMN] = None
     force: Annotated[str | None, _COLUMN] = None
+    constant_speed: Annotated[str | None, Parameter(metavar="SPEED")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -371,10 +381,15 @@ class IdentificationOptions:
             Kelvin-Voigt model.
         ignore_status: Also use rows that `needleforce force` has marked as not tared,
             initializing or doubtful.
+        between: Seconds of the log that are read, as of --tare: one insertion of
+            several.
     """
 
     method: Method = "mixture"
     ignore_status: bool = False
+    between: Annotated[
+        str | None, Parameter(metavar="START:END", allow_leading_hyphen=True)
+    ] = None
 
 
 _CONNECTED_ARMS = (

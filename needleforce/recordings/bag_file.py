@@ -5,30 +5,29 @@
 
 import re
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
-    RECOVER,
-    UNPACK,
     FormatError,
-    RecordingError,
+    damage_errors,
     file_errors,
     optional_library,
+    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
 from needleforce.recordings.writers import standard_types
 
-BAG_SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
 METADATA = "metadata.yaml"
 
 
@@ -58,26 +57,6 @@ class _Signal(NamedTuple):
     path: tuple[str, ...]
     values: Any
     joints: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bag:
-    """An open bag.
-
-    Attributes:
-        reader: Of rosbags.
-        topics: Connections by topic.
-        notes: What is odd about its files.
-    """
-
-    reader: Any
-    topics: Mapping[str, Sequence[Any]]
-    notes: tuple[str, ...]
-
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield the messages of a topic, each with the time it was recorded [ns]."""
-        for connection, log_ns, data in self.reader.messages(self.topics[topic]):
-            yield log_ns, self.reader.deserialize(data, connection.msgtype)
 
 
 def _signals(topic: str, message: Any) -> dict[str, _Signal]:
@@ -143,114 +122,137 @@ def _recover(path: Path, target: Path) -> None:
     writer.finish()
 
 
-def _files_to_read(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the files of a bag, and a note on each that was cut short.
+def _unpack(path: Path, target: Path) -> None:
+    """Unpack a file that was compressed with zstd; `FormatError` for a bomb."""
+    library = optional_library("zstandard", "compressed bags")
+    with path.open("rb") as stream, target.open("wb") as unpacked:
+        for chunk in library.ZstdDecompressor().read_to_iter(stream):
+            unpacked.write(chunk)
+            require_size(unpacked.tell(), f"{path}: its bag")
+
+
+def _whole_file(file: Path, folder: str, notes: list[str]) -> Path:
+    """Return a file of messages that is neither packed nor cut short.
 
     Args:
-        path: Of the bag.
-        folder: Gets what is left of those that were cut short.
+        file: As it was found.
+        folder: Gets what is unpacked, or what is left of a file that was cut short.
+        notes: Get one on a file that was.
     """
     magic = b"\x89MCAP0\r\n"
-    files: list[Path] = []
-    notes: list[str] = []
-    for number, file in enumerate(_files_in(path) if path.is_dir() else [path]):
-        with file.open("rb") as stream:
-            is_mcap = stream.read(len(magic)) == magic
-            stream.seek(-len(magic), 2) if is_mcap else None
-            is_cut = is_mcap and stream.read() != magic
+    if file.suffix == ".zstd":
+        packed = file
+        file = Path(mkdtemp(dir=folder), packed.stem)
+        _unpack(packed, file)
 
-        files.append(folder / f"{number}.mcap" if is_cut else file)
-        if is_cut:
-            _recover(file, files[-1])
-            notes.append(f"{file.name} is cut short; it was read up to there")
+    with file.open("rb") as stream:
+        is_mcap = stream.read(len(magic)) == magic
+        stream.seek(-len(magic), 2) if is_mcap else None
+        if not is_mcap or stream.read() == magic:
+            return file
 
-    is_whole_folder = not notes and (path / METADATA).exists()
-    return [path] if is_whole_folder else files, notes
+    notes.append(f"{file.name} is cut short; it was read up to there")
+    whole = Path(mkdtemp(dir=folder), file.name)
+    _recover(file, whole)
+    return whole
 
 
 @contextmanager
-def _open_bag(path: Path) -> Iterator[_Bag]:
-    """Open a bag; `FormatError` if it is none, or damaged."""
+def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
+    """Open the files of a bag with rosbags; `FormatError` if it is none, or damaged.
+
+    Args:
+        paths: Files of the bag, or folders of such.
+        notes: Get one on each file that was cut short.
+    """
     library = optional_library("rosbags.highlevel", "ROS bags")
-    with TemporaryDirectory() as folder, file_errors(path):
-        files, notes = _files_to_read(path, Path(folder))
-        try:
-            with library.AnyReader(files, default_typestore=standard_types()) as reader:
-                topics: dict[str, list[Any]] = {}
-                for connection in reader.connections:
-                    topics.setdefault(connection.topic, []).append(connection)
+    readable: list[Path] = []
+    with (
+        TemporaryDirectory() as folder,
+        file_errors(paths[0]),
+        damage_errors(paths[0], "bag"),
+    ):
+        for path in paths:
+            files = _files_in(path) if path.is_dir() else [path]
+            whole = [_whole_file(file, folder, notes) for file in files]
+            # The metadata of a folder fit its files as they are.
+            is_bag_folder = whole == files and (path / METADATA).exists()
+            readable += [path] if is_bag_folder else whole
 
-                yield _Bag(reader, topics, tuple(notes))
-        except (RecordingError, OSError):
-            raise
-        except Exception as error:  # whatever damaged bytes make the library run into
-            raise FormatError(
-                f"{path} cannot be read as a bag ({error})", RECOVER
-            ) from error
-
-
-def _first_signals(bag: _Bag, topic: str) -> dict[str, _Signal]:
-    """Return the signals of the first messages of a topic, with all joints named."""
-    found: dict[str, _Signal] = {}
-    for _, message in islice(bag.messages(topic), 20):
-        for column, signal in _signals(topic, message).items():
-            if 0 < np.size(signal.values) <= MAX_LIST_NUMBERS:
-                earlier = found.setdefault(column, signal)
-                joints = (*dict.fromkeys((*earlier.joints, *signal.joints)),)
-                found[column] = earlier._replace(joints=joints)
-
-    return found
+        types = standard_types()
+        with library.AnyReader(readable, default_typestore=types) as reader:
+            yield reader
 
 
-def _head(bag: _Bag, path: Path) -> Table:
+def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic, each with the time it was recorded [ns]."""
+    connections = [each for each in reader.connections if each.topic == topic]
+    for connection, log_ns, data in reader.messages(connections):
+        yield log_ns, reader.deserialize(data, connection.msgtype)
+
+
+def _head(reader: Any, path: Path, notes: Sequence[str]) -> Table:
     """Return all columns of a bag without rows, as its first messages have them.
+
+    Args:
+        reader: Of rosbags.
+        path: For messages.
+        notes: What is odd about the files.
 
     Raises:
         FormatError: There is none.
     """
+    first_messages = 20  # in which every joint is named, and arrays are filled
     columns: dict[str, np.ndarray] = {}
     clocks: dict[str, str] = {}
     joint_names: dict[str, tuple[str, ...]] = {}
-    for topic in bag.topics:
-        for column, signal in _first_signals(bag, topic).items():
-            columns[column] = np.empty((0, *np.shape(signal.values)))
-            clocks[column] = topic
-            if signal.joints:
-                joint_names[column] = signal.joints
-                columns[column] = np.empty((0, len(signal.joints)))
+    empty: dict[str, None] = {}
+    topics = dict.fromkeys(each.topic for each in reader.connections)
+    for topic in topics:
+        for _, message in islice(_messages(reader, topic), first_messages):
+            for column, signal in _signals(topic, message).items():
+                size = np.size(signal.values)
+                if not size:
+                    empty[column] = None
+                if not 0 < size <= MAX_LIST_NUMBERS:
+                    continue
+
+                clocks[column] = topic
+                columns.setdefault(column, np.empty((0, *np.shape(signal.values))))
+                if signal.joints:
+                    named = (*joint_names.get(column, ()), *signal.joints)
+                    joint_names[column] = (*dict.fromkeys(named),)
+                    columns[column] = np.empty((0, len(joint_names[column])))
 
     if not columns:
         raise FormatError(
-            f"{path} holds no topic with numbers: {', '.join(bag.topics)}", UNPACK
+            f"{path} holds no topic with numbers: {', '.join(topics)}",
+            "Record the topics with numbers again.",
         )
 
     return Table(
         columns=columns,
         joint_names=joint_names,
         clocks=clocks,
-        warnings=bag.notes,
+        warnings=tuple(notes),
+        empty=tuple(column for column in empty if column not in columns),
     )
 
 
-def bag_head(path: Path) -> Table:
-    """Return the columns of a bag without rows."""
-    with _open_bag(path) as bag:
-        return _head(bag, path)
-
-
-def read_bag(path: Path, select: Callable[[Table], Table]) -> Table:
+def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
     """Read a ROS bag as a table whose columns have the stamps of their topic.
 
     Args:
-        path: Of the bag, a file or a folder.
+        paths: Files of the bag, or folders of such.
         select: Returns of all columns, without rows, those that are needed, with the
-            joints that are.
+            joints that are; all are returned without rows if none is.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
     """
-    with _open_bag(path) as bag:
-        whole = _head(bag, path)
+    notes: list[str] = []
+    with _open_bag(paths, notes) as reader:
+        whole = _head(reader, paths[0], notes)
         head = select(whole)
         if not head.columns:
             return whole
@@ -259,7 +261,7 @@ def read_bag(path: Path, select: Callable[[Table], Table]) -> Table:
         both_ns: dict[str, NDArray[np.int64]] = {}
         for topic in dict.fromkeys(head.clocks[name] for name in head.columns):
             names = [name for name in head.columns if head.clocks[name] == topic]
-            both_ns[topic], rows = _read_topic(bag, topic, names, head)
+            both_ns[topic], rows = _read_topic(reader, topic, names, head)
             columns |= rows
 
     offset_ns = 0  # of the sources' clock from the recorder's, by the fullest topic
@@ -279,7 +281,7 @@ def read_bag(path: Path, select: Callable[[Table], Table]) -> Table:
 
 
 def _read_topic(
-    bag: _Bag, topic: str, names: Sequence[str], head: Table
+    reader: Any, topic: str, names: Sequence[str], head: Table
 ) -> tuple[NDArray[np.int64], dict[str, np.ndarray]]:
     """Return stamps of source and recorder [ns], shape (2, n), and columns by name.
 
@@ -288,7 +290,7 @@ def _read_topic(
     wanted = {joint for name in names for joint in head.joint_names.get(name, ())}
     stamps_ns: list[tuple[int, int]] = []
     rows = {name: array("d") for name in names}
-    for log_ns, message in bag.messages(topic):
+    for log_ns, message in _messages(reader, topic):
         signals = _signals(topic, message)
         named = {joint for signal in signals.values() for joint in signal.joints}
         if named and wanted and named.isdisjoint(wanted):

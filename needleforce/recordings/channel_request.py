@@ -3,10 +3,13 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from needleforce.recordings.channels import Channel, Layout
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
+    ChannelUnit,
     detect_columns,
     find_columns,
+    read_units,
+    several_fit,
     split_unit,
 )
 from needleforce.recordings.errors import ColumnError, MappingError
@@ -36,12 +39,14 @@ class ChannelRequest:
         required: Channels that must be there.
         optional: Channels read if they are there; with neither given, all are.
         joints: Names of the robot's joints, in its order.
+        named: Channels read if the mapping names their columns.
     """
 
     mapping: ColumnMapping = field(default_factory=ColumnMapping)
     required: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -49,23 +54,26 @@ class ChannelRequest:
         return self.mapping.knowledge.channels
 
     @property
+    def robot(self) -> tuple[str, ...]:
+        """The joints that are looked for, in the robot's order."""
+        return self.mapping.joint_order or self.joints
+
+    @property
     def requested(self) -> tuple[str, ...]:
         """The channels that are looked for: required ones first, none left out.
 
         Raises:
-            MappingError: One does not exist, or the mapping leaves out one that is
-                required.
+            MappingError: The mapping leaves out one that is required.
         """
-        named = (*self.required, *self.optional)
-        for name in named:
-            known_channel(name, self.mapping.knowledge)
+        mapped = (name for name in self.named if name in self.mapping.channels)
+        wanted = (*self.required, *self.optional, *mapped)
         if forgone := self.mapping.left_out & {*self.required}:
             raise MappingError(
                 f"{', '.join(forgone)} = {LEFT_OUT!r} leaves out a channel that is "
                 "needed; only others can be left out, such as dq"
             )
 
-        names = named or tuple(name for name in self.channels if name != "time")
+        names = wanted or tuple(name for name in self.channels if name != "time")
         return tuple(name for name in names if name not in self.mapping.left_out)
 
     def columns(self, table: Table) -> frozenset[str] | None:
@@ -82,58 +90,78 @@ class ChannelRequest:
         request = self.with_layout(table)
         found = request.find_all(table)
         if "time" in request.mapping.channels:
-            found["time"] = request.find(table, self.channels["time"])
+            found["time"] = request.find_time(table)
         if not found.keys() >= {*self.required}:
             return None
 
         return frozenset(
             name if name in table.columns else name.rpartition("[")[0]
-            for columns in found.values()
-            for name in columns
+            for unit in found.values()
+            for name in unit.columns
         )
 
-    def find_all(self, table: Table) -> dict[str, list[str]]:
-        """Return the columns of the channels that are there; raises as `find` does."""
-        channels = [self.channels[name] for name in self.requested]
-        found = {channel.name: self.find(table, channel) for channel in channels}
-        return {name: columns for name, columns in found.items() if columns}
-
-    def find(self, table: Table, channel: Channel) -> list[str]:
-        """Return the names of a channel's columns; none if no name looks like it.
-
-        They are the mapped ones, those of usual names, or those of the joints.
+    def find_all(self, table: Table) -> dict[str, ChannelUnit]:
+        """Return the channels that are there; raises as `find` does.
 
         Raises:
-            ColumnError: They are not there, or ambiguous.
+            MappingError: A channel that is looked for does not exist.
+        """
+        knowledge = self.mapping.knowledge
+        channels = [known_channel(name, knowledge) for name in self.requested]
+        found = {channel.name: self.find(table, channel) for channel in channels}
+        return {name: unit for name, unit in found.items() if unit is not None}
+
+    def find(self, table: Table, channel: Channel) -> ChannelUnit | None:
+        """Return the columns of a channel and their units; None without such columns.
+
+        Raises:
+            ColumnError: Mapped columns are not there, or several would fit.
+            MappingError: There are units for another number of columns.
+            UnitError: The file contradicts itself or the mapping.
         """
         spec = self.mapping.channels.get(channel.name)
-        if spec is not None:
-            patterns = spec.patterns
-            return [name for each in patterns for name in find_columns(table, each)]
+        columns = (
+            self._find_unmapped(table, channel)
+            if spec is None
+            else [name for each in spec.patterns for name in find_columns(table, each)]
+        )
+        return read_units(table, channel, columns, spec) if columns else None
 
-        table = self._table_of_robot(table)
-        try:
-            columns = detect_columns(table, channel)
-        except ColumnError:  # several would fit, one for each joint perhaps
-            columns = self._find_by_joints(table, channel)
-            if not columns:
-                raise
+    def find_time(self, table: Table) -> ChannelUnit:
+        """Return the column of time stamps, or those whose sum they are.
 
-        return columns or self._find_by_joints(table, channel)
+        Raises:
+            ColumnError: There is none, or a pattern fits several.
+        """
+        unit = self.find(table, self.channels["time"])
+        spec = self.mapping.channels.get("time")
+        if unit is None:
+            columns = f"{table.describe()}{table.left_out()}"
+            raise ColumnError(
+                f"no time column found. Columns are: {columns}",
+                "Name it under `time` in the `mapping`, or give `rate_hz`.",
+            )
+        if spec is not None and len(unit.columns) > len(spec.patterns):
+            raise several_fit(self.channels["time"], unit.columns)
 
-    def _table_of_robot(self, table: Table) -> Table:
-        """Return a table without the joints of others, if it has all of the robot's."""
-        joints = self.mapping.joint_order or self.joints
+        return unit
+
+    def _find_unmapped(self, table: Table, channel: Channel) -> list[str]:
+        """Return the columns of the robot's joints, or those of usual names, if any.
+
+        Raises:
+            ColumnError: Several would fit.
+        """
         others = {
             name
-            for name, each in table.joint_names.items()
-            if not match_joints(each, joints)
+            for name, joints in table.joint_names.items()
+            if not match_joints(joints, self.robot)
         }
-        if others == table.joint_names.keys():
-            return table
+        if others < table.joint_names.keys():  # signals of the robot are there
+            columns = {n: v for n, v in table.columns.items() if n not in others}
+            table = replace(table, columns=columns)
 
-        columns = {n: v for n, v in table.columns.items() if n not in others}
-        return replace(table, columns=columns)
+        return self._find_by_joints(table, channel) or detect_columns(table, channel)
 
     def _find_by_joints(self, table: Table, channel: Channel) -> list[str]:
         """Return columns that are named after the robot's joints and a channel.
@@ -144,16 +172,12 @@ class ChannelRequest:
         Raises:
             ColumnError: Columns of several arms would fit.
         """
-        joints = self.mapping.joint_order or self.joints
-        if not channel.per_joint:
-            return []
-
         by_stem = {
             split_unit(name.strip(), channel.units)[0]: name
             for name, values in table.columns.items()
-            if values.ndim == 1
+            if values.ndim == 1 and channel.per_joint
         }
-        matches = match_joints(by_stem, joints)
+        matches = match_joints(by_stem, self.robot)
         named = [match for match in matches if names_channel(match, channel)]
         chosen = choose_match(named, self.mapping.joint_pattern, channel.name)
         return [by_stem[stem] for stem in chosen.names] if chosen else []
@@ -165,38 +189,28 @@ class ChannelRequest:
             ColumnError: None of them has all of the robot's joints, or several arms
                 would fit.
         """
-        robot = self.mapping.joint_order or self.joints
-        groups = {
-            n: each for n, each in table.joint_names.items() if n in table.columns
-        }
-        if not groups or not robot:
-            return table
-
         columns = dict(table.columns)
-        joint_names = dict(table.joint_names)
+        groups = {n: each for n, each in table.joint_names.items() if n in columns}
+        ordered: dict[str, tuple[str, ...]] = {}
         notes: dict[str, None] = {}
-        is_found = False
         for name, joints in groups.items():
             where = table.clocks.get(name, name)
-            matches = match_joints(joints, robot)
+            matches = match_joints(joints, self.robot)
             chosen = choose_match(matches, self.mapping.joint_pattern, where)
             if chosen is None:
                 continue
 
-            is_found = True
-            order = [joints.index(joint) for joint in chosen.names]
-            columns[name] = columns[name][:, order]
-            joint_names[name] = chosen.names
-            if chosen.names != robot:
-                taken = f"{chosen.names[0]}, ... ({chosen.pattern})"
-                note = f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
-                notes[note] = None
+            ordered[name] = chosen.names
+            columns[name] = columns[name][:, [joints.index(n) for n in chosen.names]]
+            if chosen.names != self.robot:
+                taken = f"{chosen.names[0]}, ... ({chosen.pattern}) were taken"
+                notes[f"{where}: {taken} for the robot's {self.robot[0]}, ..."] = None
 
-        if not is_found:
+        if self.robot and groups and not ordered:
             name, joints = next(iter(groups.items()))
             raise ColumnError(
                 f"{name} has the joints {', '.join(joints)}; expected "
-                f"{', '.join(robot)}",
+                f"{', '.join(self.robot)}",
                 "Name them in the robot's order, with `joints` in the `mapping` or "
                 f"`--joints {','.join(joints)}`.",
             )
@@ -204,44 +218,29 @@ class ChannelRequest:
         return replace(
             table,
             columns=columns,
-            joint_names=joint_names,
+            joint_names={**table.joint_names, **ordered},
             warnings=(*table.warnings, *notes),
-        )
-
-    def find_layout(self, table: Table) -> Layout | None:
-        """Return the first layout that a table has; None if none is known."""
-        layouts = self.mapping.knowledge.layouts
-        return next(
-            (each for each in layouts if _has_columns(table, each.columns)), None
         )
 
     def with_layout(self, table: Table) -> "ChannelRequest":
         """Return the request with what the layout of a table says; the mapping wins.
 
-        Of the layout's channels those are taken that the table has.
+        It is the first that the table has; of its channels those are taken that are
+        there.
         """
-        layout = self.find_layout(table)
-        if layout is None:
-            return self
+        knowledge = self.mapping.knowledge
+        for layout in knowledge.layouts:
+            if _has_columns(table, layout.columns):
+                known = mapping_of_layout(layout, knowledge)
+                channels = {
+                    name: spec
+                    for name, spec in known.channels.items()
+                    if spec.columns == LEFT_OUT or _has_columns(table, spec.patterns)
+                }
+                known = replace(known, channels=channels)
+                return replace(self, mapping=known.updated(self.mapping))
 
-        known = mapping_of_layout(layout, self.mapping.knowledge)
-        channels = {
-            name: spec
-            for name, spec in known.channels.items()
-            if spec.patterns == (LEFT_OUT,) or _has_columns(table, spec.patterns)
-        }
-        channels |= self.mapping.channels
-        rate_hz = self.mapping.rate_hz
-        if rate_hz is not None:
-            channels.pop("time", None)
-        elif "time" not in self.mapping.channels:
-            rate_hz = known.rate_hz
-
-        joints = self.mapping.joints or known.joints
-        mapping = replace(
-            self.mapping, channels=channels, rate_hz=rate_hz, joints=joints
-        )
-        return replace(self, mapping=mapping)
+        return self
 
 
 def _has_columns(table: Table, patterns: Iterable[str]) -> bool:

@@ -146,7 +146,6 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         other_units: Units of which no channel is made.
         missing_values: Numbers that stand for no value, in the file's unit.
         channels: By the name that mappings use.
-        conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
     """
 
@@ -155,7 +154,6 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     other_units: tuple[str, ...]
     missing_values: tuple[float, ...]
     channels: dict[str, Channel]
-    conversions: dict[str, str]
     layouts: tuple[Layout, ...]
 
     def is_unit(self, text: str) -> bool:

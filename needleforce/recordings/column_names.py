@@ -6,6 +6,7 @@ up to them would take all memory.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from itertools import groupby, pairwise, product
 from typing import NamedTuple
 
@@ -46,21 +47,21 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
     Only a unit of the quantity looked for is read as one. Understands `q1`, `q_1`,
     `q[0]`, `q1_deg`, `q_deg_1`, `joint 1 position`, `z [mm]`, `z (mm)`, `z/mm`, `z mm`,
     `z in mm`, `speed_mm_s` and a leading path such as `/joint_states/`; before a number
-    also one with dots, as in `state.q[0]`.
+    also one with dots, as in `state.q[0]`, and a word for a joint, as in `position.a1`.
     """
     stem, unit = split_unit(name.strip(), units)
     number = None
     family = name
     last = re.match(r"^(.*?[^\d_.\[ ])[_. ]?\[?(\d{1,9})\]?$", stem)
-    joint = (
-        r"(?i)^((?:joint|axis|actuator|motor|ax|j|a)[_. ]?)(\d{1,2})[_./ ]+([^\d\W].*)$"
-    )
+    a_joint = r"(?:joint|axis|actuator|motor|ax|j|a)"
+    joint = rf"(?i)^({a_joint}[_. ]?)(\d{{1,2}})[_./ ]+([^\d\W].*)$"
     first = re.match(joint, stem.rsplit("/", 1)[-1])
     if last:
         number = int(last[2])
         start, end = last.span(2)
         family = name.replace(stem, f"{stem[:start]}#{stem[end:]}", 1)
-        stem = last[1].rsplit(".", 1)[-1]
+        named = re.sub(rf"(?i)[_. /]{a_joint}$", "", last[1])
+        stem = named.rsplit(".", 1)[-1]
         if unit is None:
             stem, unit = split_unit(stem, units)
     elif first:
@@ -99,61 +100,46 @@ def written_unit(name: str) -> str | None:
     return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
-def is_column(table: Table, name: str) -> bool:
-    """Return whether a table has a column, or an element of one such as `wrench[2]`."""
-    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
-    if name in table.columns or element is None:
-        return name in table.columns
-    array = table.columns.get(element[1])
-    return array is not None and array.shape[1:] > (int(element[2]),)
-
-
 def find_columns(table: Table, pattern: str) -> list[str]:
     """Return the names of the columns that a name or pattern stands for.
 
     In this order: a column of exactly that name; `wrench[2]`, one column (from 0) of a
-    two-dimensional one; `*/q`, the one of that name behind any path; `q{1..7}`, the
-    numbers from 1 to 7; `q_*`, all columns with a number in that place; and `q_rad` for
-    a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV. Numbered ones
-    come in the order of their numbers.
+    two-dimensional one; `q{1..7}`, the numbers from 1 to 7; `q_*`, all columns with a
+    number in that place; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
+    package writes it to CSV. `*/` at the beginning stands for any path, or none.
+    Numbered ones come in the order of their numbers.
 
     Raises:
         ColumnError: There is no such column, two have one number, or one is missing.
     """
-    if is_column(table, pattern):
+    with suppress(KeyError):
+        table.values(pattern)
         return [pattern]
-    if pattern.startswith("*/"):
-        fitting = [name for name in table.columns if name.endswith(pattern[1:])]
-        if len(fitting) != 1:
-            raise ColumnError(f"{pattern!r} fits {fitting}, expected one column")
 
-        return fitting
-
-    place = re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}|\*", pattern)
-    expression = rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?"
+    path = r"(?:.*/)?" if pattern.startswith("*/") else ""
+    text = pattern.removeprefix("*/")
+    expression = rf"{path}{re.escape(text)}(?:[_. ]?\[?(\d{{1,9}})\]?)?"
+    place = re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}|\*", text)
     if place:
-        head = re.escape(pattern[: place.start()])
-        expression = rf"{head}(\d{{1,9}}){re.escape(pattern[place.end() :])}"
+        head = re.escape(text[: place.start()])
+        expression = rf"{path}{head}(\d{{1,9}}){re.escape(text[place.end() :])}"
 
     span = range(int(place[1]), int(place[2]) + 1) if place and place[1] else None
-    numbered = _by_number(table, expression, pattern)
-    if span:
-        numbered = {each: name for each, name in numbered.items() if each in span}
+    numbered: dict[int, str] = {}
+    for name in table.columns:
+        match = re.fullmatch(expression, name)
+        number = int(match[1] or -1) if match else None
+        if number is None or (span is not None and number not in span):
+            continue
+        if (other := numbered.setdefault(number, name)) != name:
+            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
+
+    if -1 in numbered:
+        return [numbered[-1]]
     if not numbered or (span and {span[0], span[-1]} - numbered.keys()):
         raise ColumnError(f"no column {pattern!r}. Columns are: {table.describe()}")
 
     return _in_order(numbered, pattern)
-
-
-def _by_number(table: Table, expression: str, pattern: str) -> dict[int, str]:
-    """Return columns by the number in their names; `ColumnError` if two have one."""
-    numbered: dict[int, str] = {}
-    for name in table.columns:
-        match = re.fullmatch(expression, name)
-        if match and (other := numbered.setdefault(int(match[1]), name)) != name:
-            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
-
-    return numbered
 
 
 def _in_order(numbered: Mapping[int, str], pattern: str) -> list[str]:
@@ -199,16 +185,15 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
     fitting = ([n for n in stem_of if stem_of[n] in words] for stem_of, words in tiers)
     found = next(filter(None, fitting), [])
     families: dict[str, dict[int, str]] = {}
-    candidates: dict[str, list[str]] = {}
     for name in found:
         parts = names[name]
         is_single = table.columns[name].ndim == 1
         if channel.per_joint and is_single and parts.number is not None:
             families.setdefault(parts.family, {})[parts.number] = name
         elif channel.per_joint or is_single:
-            candidates[name] = [name]
+            families[name] = {0: name}
 
-    candidates |= {name: _in_order(each, name) for name, each in families.items()}
+    candidates = {name: _in_order(each, name) for name, each in families.items()}
     if not channel.per_joint:
         plain = {n: [n] for n in candidates if names[n].number is None}
         candidates = plain or candidates
@@ -312,21 +297,17 @@ def _unit_of_column(
         if text is not None
     }
     are_known = stated.keys() <= channel.units.keys()
-    if not are_known and has_factor:
-        return asked or channel.units.si, "mapping"
+    said = stated | ({asked: "mapping"} if asked else {})
+    if are_known and (len(said) == 1 or asked in stated):
+        return (asked, "mapping") if asked else next(iter(said.items()))
+    if not stated or (has_factor and not are_known):
+        return asked or channel.units.si, "mapping" if stated else ASSUMED
 
-    is_contradicted = asked not in stated if asked else len(stated) > 1
-    if stated and (is_contradicted or not are_known):
-        wanted = {asked: "mapping"} if asked else {}
-        parts = [f"{unit!r} ({origin})" for unit, origin in (stated | wanted).items()]
-        raise UnitError(
-            f"{channel.name}: column {name!r} is in {' and '.join(parts)}; expected "
-            f"one of {', '.join(channel.units)}"
-        )
-    if asked:
-        return asked, "mapping"
-
-    return next(iter(stated.items()), (channel.units.si, ASSUMED))
+    listed = " and ".join(f"{unit!r} ({origin})" for unit, origin in said.items())
+    raise UnitError(
+        f"{channel.name}: column {name!r} is in {listed}; expected one of "
+        f"{', '.join(channel.units)}"
+    )
 
 
 def describe_columns(columns: Sequence[str]) -> str:

@@ -12,9 +12,7 @@ import numpy as np
 import pandas as pd
 
 from needleforce.recordings.errors import (
-    RECOVER,
-    FormatError,
-    RecordingError,
+    damage_errors,
     optional_library,
     require_size,
 )
@@ -36,33 +34,30 @@ def read_npz(path: Path) -> Table:
     Raises:
         FormatError: It is no such archive, or damaged.
     """
-    columns: dict[str, np.ndarray] = {}
-    notes: list[str] = []
-    start_ns = 0
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            size = sum(member.file_size for member in archive.zip.infolist())
-            require_size(size, f"{path}: its arrays")
-            for name in archive.files:
-                values = np.empty(0, dtype=object)
-                with suppress(ValueError):  # objects
-                    values = archive[name]
-                is_signal = values.ndim in (1, 2) and values.size
-                if name == START_KEY and values.ndim == 0:
-                    start_ns = int(values)
-                elif is_signal and values.dtype.kind in "fiub":
-                    columns[name] = values
-                elif values.ndim:
-                    kind = f"{values.dtype} {values.shape}"
-                    notes.append(f"column {name!r} was left out: {kind}")
-    except (OSError, FormatError):
-        raise
-    except Exception as error:  # whatever numpy and zipfile run into
-        raise FormatError(
-            f"{path} is not an npz archive of numbers, or damaged ({error})", RECOVER
-        ) from error
+    arrays: dict[str, np.ndarray] = {}
+    with (
+        damage_errors(path, "npz archive"),
+        np.load(path, allow_pickle=False) as archive,
+    ):
+        names = archive.files
+        size = sum(member.file_size for member in archive.zip.infolist())
+        require_size(size, f"{path}: its arrays")
+        for name in names:
+            with suppress(ValueError):  # objects
+                arrays[name] = archive[name]
 
-    return Table(columns=columns, warnings=tuple(notes), start_ns=start_ns)
+    single = {name: array for name, array in arrays.items() if not array.ndim}
+    columns = {
+        name: array
+        for name, array in arrays.items()
+        if array.dtype.kind in "fiub" and array.ndim in (1, 2) and array.size
+    }
+    others = [name for name in names if name not in (*single, *columns)]
+    return Table(
+        columns=columns,
+        warnings=tuple(f"array {name!r} was left out: no columns" for name in others),
+        start_ns=int(single.get(START_KEY, 0)),
+    )
 
 
 def read_arrow(path: Path) -> Table:
@@ -72,9 +67,8 @@ def read_arrow(path: Path) -> Table:
         FormatError: It is no such file, or damaged.
     """
     kind = path.suffix.lower().removeprefix(".")
-    arrow = optional_library("pyarrow", "Parquet and Feather files")
     reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
-    try:
+    with damage_errors(path, f"{kind} file"):
         if kind == "parquet":  # whose size is known before it is unpacked
             about = reader.ParquetFile(path).metadata
             groups = map(about.row_group, range(about.num_row_groups))
@@ -83,10 +77,6 @@ def read_arrow(path: Path) -> Table:
         content = reader.read_table(path, use_threads=False)
         require_size(content.nbytes, f"{path}: what it holds")
         table = table_of_frame(content.to_pandas(ignore_metadata=True))
-    except (arrow.ArrowException, UnicodeDecodeError) as error:
-        raise FormatError(
-            f"{path} is damaged, cut short or of another kind ({error})", RECOVER
-        ) from error
 
     own_start = (content.schema.metadata or {}).get(START_KEY.encode())
     return table if own_start is None else replace(table, start_ns=int(own_start))
@@ -222,29 +212,24 @@ def read_container(path: Path) -> Table:
         FileAccessError: The library that reads it is not installed.
         FormatError: It is damaged, or of another kind.
     """
+    suffix = path.suffix.lower()
     with path.open("rb") as stream:
         is_hdf5 = stream.read(8) == b"\x89HDF\r\n\x1a\n"
 
-    is_matlab = path.suffix.lower() == ".mat"
-    try:
-        if path.suffix.lower() == ".tdms":
+    with damage_errors(path, f"{suffix} file"):
+        if suffix == ".tdms":
             return _read_tdms(path)
-        if is_hdf5 or not is_matlab:
-            arrays = _read_hdf5(path, is_matlab=is_matlab)
-        else:
-            library = optional_library("scipy.io", "MATLAB files")
-            arrays = _flat(library.loadmat(path, simplify_cells=True))
-    except RecordingError:
-        raise
-    except Exception as error:  # whatever damaged bytes make the library run into
-        raise FormatError(f"{path} cannot be read ({error})", RECOVER) from error
+        if is_hdf5 or suffix != ".mat":
+            return Table(columns=_read_hdf5(path, is_matlab=suffix == ".mat"))
 
-    columns = {
-        name: values
-        for name, values in arrays.items()
-        if values.dtype.kind in "fiub" and values.ndim in (1, 2) and len(values) > 1
-    }
-    return Table(columns=columns)
+        library = optional_library("scipy.io", "MATLAB files")
+        arrays = _flat(library.loadmat(path, simplify_cells=True))
+        return Table(columns={n: v for n, v in arrays.items() if _is_signal(v)})
+
+
+def _is_signal(values: np.ndarray) -> bool:
+    """Return whether an array holds numbers, more than one in each column."""
+    return values.dtype.kind in "fiub" and values.ndim in (1, 2) and len(values) > 1
 
 
 def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
@@ -255,9 +240,9 @@ def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
     def visit(name: str, item: Any) -> None:
         if isinstance(item, library.Dataset) and item.ndim in (1, 2):
             require_size(item.nbytes, f"{path}: {name}")
-            values = item[()]
-            values = values.T if is_matlab else values
-            arrays[name] = values[:, 0] if values.shape[1:] == (1,) else values
+            values = item[()].T if is_matlab else item[()]
+            values = values.ravel() if 1 in values.shape else values
+            arrays.update({name: values} if _is_signal(values) else {})
 
     with library.File(path) as file:
         file.visititems(visit)
@@ -280,25 +265,27 @@ def _flat(content: Mapping[str, Any], start: str = "") -> dict[str, np.ndarray]:
 def _read_tdms(path: Path) -> Table:
     """Return the channels of a TDMS file, with their units and the clock of each."""
     library = optional_library("nptdms", "TDMS files")
-    columns: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    stamps_ns: dict[str, np.ndarray] = {}
-    for group in library.TdmsFile.read(path).groups():
-        for channel in group.channels():
-            name = f"{group.name}/{channel.name}"
-            values = channel[:]
-            if values.dtype.kind not in "fiub" or len(values) < 2:
-                continue
-
-            columns[name] = values
-            if unit := channel.properties.get("unit_string"):
-                units[name] = unit
-            if "wf_increment" in channel.properties:
-                stamps_ns[name] = to_nanoseconds(channel.time_track(), 0)
-
+    groups = library.TdmsFile.read(path).groups()
+    found = {f"{g.name}/{each.name}": each for g in groups for each in g.channels()}
+    channels = {name: each for name, each in found.items() if _is_signal(each[:])}
+    properties = {name: channel.properties for name, channel in channels.items()}
     # Either every channel has a clock, or one of them is the time.
-    if stamps_ns.keys() != columns.keys():
-        return Table(columns=columns, units=units)
+    has_clocks = all("wf_increment" in each for each in properties.values())
+    clocked = channels if has_clocks else {}
+    return Table(
+        columns={name: channel[:] for name, channel in channels.items()},
+        units={
+            n: p["unit_string"] for n, p in properties.items() if "unit_string" in p
+        },
+        clocks={name: name for name in clocked},
+        stamps_ns={name: _stamps_of(channel) for name, channel in clocked.items()},
+    )
 
-    clocks = {name: name for name in columns}
-    return Table(columns=columns, units=units, clocks=clocks, stamps_ns=stamps_ns)
+
+def _stamps_of(channel: Any) -> np.ndarray:
+    """Return the time stamps [ns] of a channel of a TDMS file, shape (n,)."""
+    waveform = channel.properties
+    start = np.datetime64(waveform.get("wf_start_time", 0), "ns")
+    since_s = waveform["wf_increment"] * np.arange(len(channel))
+    t_s = waveform.get("wf_start_offset", 0.0) + since_s
+    return to_nanoseconds(t_s, int(start.astype(np.int64)))

@@ -9,20 +9,9 @@ from types import ModuleType
 from foundation.errors import NeedleforceError
 
 KNOWN_SUFFIX = (
-    "Write it as .csv, .npz, .parquet or .mcap; what is read may have other suffixes, "
-    "or be a folder."
-)
-OWN_PLACES = "Give each output a place of its own, in a folder that exists."
-RECOVER = (
-    "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
-    "FILE .recover."
-)
-UNPACK = (
-    "Unpack compressed files (zstd -d, ros2 bag convert), or record the topics "
-    "with numbers again."
-)
-EQUAL_COLUMNS = (
-    "Give equal columns of numbers with names of their own; a bag needs `t_s`."
+    "Write it as .csv, .npz, .parquet or .mcap: save a sheet as CSV (in Excel: CSV "
+    "UTF-8), unpack what is packed (zstd -d); what is read may have other suffixes, or "
+    "be a folder."
 )
 
 
@@ -75,7 +64,8 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
     usual_advice = (
-        "Give columns of numbers with one value, or one row, for each time stamp."
+        "Give columns of numbers with names of their own and one value, or one row, "
+        "for each time stamp; a bag needs `t_s`."
     )
 
 
@@ -123,6 +113,22 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
     except OSError as error:
         raise FileAccessError(
             f"cannot {verb} {name}: {error.strerror or error}"
+        ) from error
+
+
+@contextmanager
+def damage_errors(path: str | Path, kind: str) -> Iterator[None]:
+    """Turn whatever damaged bytes make a library run into to a `FormatError`."""
+    try:
+        yield
+    except Exception as error:
+        is_of_system = isinstance(error, OSError) and error.errno is not None
+        if is_of_system or isinstance(error, RecordingError):
+            raise
+        raise FormatError(
+            f"{path} is no {kind} that can be read, or damaged ({error})",
+            "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
+            "FILE .recover.",
         ) from error
 
 

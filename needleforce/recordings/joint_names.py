@@ -50,18 +50,15 @@ def match_joints(found: Collection[str], joints: Sequence[str]) -> list[JointMat
     starts = [0, *(place.end() for place in re.finditer(r"[^A-Za-z0-9]", prefix))]
     for start in starts:
         names = [joint[start:] for joint in joints]
-        first = rf"(?<![A-Za-z0-9]){re.escape(names[0])}(?![A-Za-z0-9])"
-        matches: dict[JointMatch, None] = {}
-        for name in sorted(known):
-            for place in re.finditer(first, name):
-                head = name[: place.start()]
-                tail = name[place.end() :]
-                matched = tuple(f"{head}{joint}{tail}" for joint in names)
-                if set(matched) <= known and not names[0].isdigit():
-                    matches[JointMatch(matched, f"{head}*{tail}")] = None
-
-        if matches:
-            return list(matches)
+        first = rf"(.*(?<![A-Za-z0-9])|){re.escape(names[0])}((?![A-Za-z0-9]).*)"
+        around = filter(None, (re.fullmatch(first, name) for name in sorted(known)))
+        matches = [
+            JointMatch(tuple(f"{head}{each}{tail}" for each in names), f"{head}*{tail}")
+            for head, tail in (match.groups() for match in around)
+        ]
+        fitting = [match for match in matches if known.issuperset(match.names)]
+        if fitting and not names[0].isdigit():
+            return fitting
 
     return []
 

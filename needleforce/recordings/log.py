@@ -3,6 +3,7 @@
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from types import MappingProxyType
 
 import numpy as np
@@ -15,19 +16,17 @@ from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
     describe_columns,
-    read_units,
-    several_fit,
 )
 from needleforce.recordings.errors import (
     ColumnError,
     LogError,
     MappingError,
-    RecordingError,
     UnitError,
 )
 from needleforce.recordings.table import Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
+    OrderedRows,
     aligned,
     first_valid_stamp,
     rows_in_order,
@@ -130,18 +129,19 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
     Raises:
         RecordingError: As `read_log` does.
     """
-    layout = request.find_layout(table)
-    note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
     request = request.with_layout(table)
+    note = request.mapping.note
     try:
         found = _find_channels(table, request)
-    except RecordingError as error:  # the note may say why
-        raise (error.reworded(f"{error}. {note}") if note else error) from error
+    except ColumnError as error:
+        joints = ", ".join(request.robot)
+        wanted = joints and f"The robot's joints are {joints}"
+        text = ". ".join(filter(None, [str(error), note, wanted]))
+        raise error.reworded(text) from error
 
-    units: list[ChannelUnit] = []
-    table = _with_time(table, request, found, units)
-    notes = [*table.warnings, *([note] if note else [])]
-    measured = _read_channels(table, request, found, units, notes)
+    table, time = _with_time(table, request, found)
+    notes = [*table.warnings, *filter(None, [note])]
+    measured = _read_channels(table, request, found, notes)
     joint_counts = {key: v.shape[1] for key, v in measured.items() if v.ndim == 2}
     if len({*joint_counts.values()}) > 1:
         raise LogError(
@@ -150,88 +150,165 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
         )
 
     first = next(iter(measured.values()))
-    if request.mapping.rate_hz is not None:
-        rows = np.arange(len(first))
-        t_s = rows / request.mapping.rate_hz
-    else:
-        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first)
-        notes += time_notes
-
-    channels = {key: values[rows] for key, values in measured.items()}
-    steps_s = np.median(np.diff(t_s), keepdims=True)
-    for unit in units:
-        channel = request.channels[unit.channel]
-        notes += _check_sizes(channel, unit, np.abs(channels.get(channel.key, steps_s)))
-
+    rows, t_s, said = ordered_rows(
+        table.columns["t_s"], first, request.channels["time"], time
+    )
+    read = [found[name] for name in measured]
+    channels = {request.channels[name].key: v[rows] for name, v in measured.items()}
+    warnings = [*notes, *said, *_report_invalid(channels, rows)]
     return Log(
         t_s=t_s,
         channels=channels,
         start_ns=table.start_ns,
-        units=tuple(units),
+        units=tuple(unit for unit in (time, *read) if unit.columns),
         left_out=len(first) - len(rows),
-        warnings=tuple(dict.fromkeys([*notes, *_report_invalid(channels, rows)])),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
 
 
-def _with_time(
-    table: Table,
-    request: ChannelRequest,
-    found: Mapping[str, Sequence[str]],
-    units: list[ChannelUnit],
-) -> Table:
-    """Return a table with one row for each time stamp, and these in s as `t_s`.
+def _find_channels(table: Table, request: ChannelRequest) -> dict[str, ChannelUnit]:
+    """Return channels by name.
 
-    There are none where the mapping gives a rate; the unit of others is added.
+    Raises:
+        ColumnError: A required one is not there, or none; or no joint has a name that
+            fits the pattern of the mapping.
+    """
+    found = request.find_all(table)
+    missing = [request.channels[name] for name in request.required if name not in found]
+    if missing:
+        names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
+        raise ColumnError(
+            f"no column found for {names}; usual names of {missing[0].name} are "
+            f"{', '.join(missing[0].spellings)}. Columns are: {table.describe()}"
+            f"{table.left_out()}"
+        )
+    if not found:
+        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+
+    pattern = request.mapping.joint_pattern
+    columns = {column for unit in found.values() for column in unit.columns}
+    if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
+        raise ColumnError(
+            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
+            "messages of the recording have names of joints; leave it out"
+        )
+
+    return found
+
+
+def _with_time(
+    table: Table, request: ChannelRequest, found: Mapping[str, ChannelUnit]
+) -> tuple[Table, ChannelUnit]:
+    """Return a table with one row for each time stamp, these in s as `t_s`.
+
+    Returns:
+        The table, and what the stamps were read from: no column where a rate is given.
 
     Raises:
         ColumnError: There is no time stamp.
         LogError: Columns differ in length.
     """
+    columns = {name: unit.columns for name, unit in found.items()}
+    used = [column for names in columns.values() for column in names]
     has_clocks = bool(table.clocks)
     if has_clocks:
         table = aligned(table, _find_reference(table, found))
 
-    if request.mapping.rate_hz is None:
-        units.append(time_unit(table, request))
-
-    used = [*found.values(), *(unit.columns for unit in units)]
-    lengths = {name: len(table.values(name)) for names in used for name in names}
+    rate_hz = request.mapping.rate_hz
+    time = ChannelUnit("time", (), (), ())
+    if rate_hz is None and has_clocks:
+        time = ChannelUnit("time", ("t_s",), ("s",), ("format of the file",))
+    elif rate_hz is None:
+        time = request.find_time(table)
+    lengths = {name: len(table.values(name)) for name in (*used, *time.columns)}
     if len({*lengths.values()}) > 1:
         raise LogError(f"columns differ in their numbers of rows: {lengths}")
-    if not units:
-        return table
 
-    t_s, start_ns = read_times(table, request.channels["time"], units[0])
-    table = replace(table, start_ns=start_ns)
-    parted = table if has_clocks else with_own_clocks(table, found, t_s)
+    t_s = np.arange(lengths[used[0]]) / (rate_hz or 1.0)
+    start_ns = table.start_ns
+    if time.columns:
+        t_s, start_ns = read_times(table, request.channels["time"], time)
+    table = replace(table, start_ns=start_ns, columns={**table.columns, "t_s": t_s})
+    parted = table if has_clocks or rate_hz else with_own_clocks(table, columns)
     if parted.clocks:
-        return aligned(parted, _find_reference(parted, found))
+        parted = aligned(parted, _find_reference(parted, found))
 
-    return replace(table, columns={**table.columns, "t_s": t_s})
+    return parted, time
+
+
+def _find_reference(table: Table, found: Mapping[str, ChannelUnit]) -> str:
+    """Return the clock whose stamps are the rows: that of the torques or the force."""
+    usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
+    column, *_ = next(iter([*usual, *found.values()])).columns
+    return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
+
+
+def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
+    """Return time stamps in s, shape (n,), and the instant in ns that they count from.
+
+    Whole nanoseconds too large for float64, and sums of columns, are counted from the
+    first.
+    """
+    columns = [table.values(name) for name in unit.columns]
+    factors = [channel.units[each] * NS_PER_S for each in unit.units]
+    if len(columns) > 1:
+        terms = zip(columns, factors, strict=True)
+        parts_ns = np.array([values * factor for values, factor in terms])
+        known = np.isfinite(parts_ns).all(axis=0)
+        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
+    elif columns[0].dtype.kind in "iu" and factors == [1.0] and unit.scale == 1.0:
+        known = np.full(len(columns[0]), fill_value=True)
+        stamps_ns = columns[0].astype(np.int64) + table.start_ns
+    else:
+        return _values_in_si(columns, channel, unit), table.start_ns
+
+    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
+    t_s = np.full(known.shape, np.nan)
+    t_s[known] = to_seconds(stamps_ns, start_ns)
+    return t_s, start_ns
+
+
+def ordered_rows(
+    t_s: Array, values: Array, channel: Channel, unit: ChannelUnit
+) -> OrderedRows:
+    """Return rows in the order of time, as `rows_in_order` does.
+
+    Raises:
+        LogError: Stamps do not tell the times of the samples.
+        UnitError: They lie so far apart that the unit that was assumed is wrong.
+    """
+    ordered = rows_in_order(t_s, values)
+    _check_sizes(channel, unit, np.median(np.diff(ordered.t_s), keepdims=True))
+    return ordered
 
 
 def _read_channels(
     table: Table,
     request: ChannelRequest,
-    found: Mapping[str, Sequence[str]],
-    units: list[ChannelUnit],
+    found: Mapping[str, ChannelUnit],
     notes: list[str],
 ) -> dict[str, Array]:
-    """Return channels in SI units by key; their units, and what is odd, are added.
+    """Return channels in SI units by name; notes on what is odd are added.
 
     Raises:
         LogError: A required or mapped channel has a column without a finite value.
+        UnitError: Values are too large for a unit that was assumed.
     """
     measured: dict[str, Array] = {}
-    for name, columns in found.items():
+    missing = request.mapping.knowledge.missing_values
+    for name, unit in found.items():
         channel = request.channels[name]
-        unit = read_units(table, channel, columns, request.mapping.channels.get(name))
-        missing = request.mapping.knowledge.missing_values
-        values = _values_of(table, channel, unit, missing)
+        raw = [table.values(column) for column in unit.columns]
+        for number in missing:
+            if any(_is_far_outside(values, number) for values in raw):
+                notes.append(f"{name}: {number:g}, far from all else, is no value")
+                raw = [np.where(values == number, np.nan, values) for values in raw]
+
+        values = _values_in_si(raw, channel, unit)
         is_known = np.isfinite(values).any(axis=0)
         if is_known.all() or not len(values):
-            units.append(unit)
-            measured[channel.key] = values
+            notes += _check_sizes(channel, unit, np.abs(values))
+            measured[name] = values
             continue
 
         joints = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
@@ -243,6 +320,86 @@ def _read_channels(
         notes.append(f"{fault} and was left out")
 
     return measured
+
+
+def _is_far_outside(values: Array, number: float) -> bool:
+    """Return whether a number stands in a column, further off than others from another.
+
+    So far lies what a logger writes where it has no value; a force or a depth that
+    really has such a value passes through those between.
+    """
+    is_number = values == number
+    others = values[np.isfinite(values) & ~is_number]
+    distance = max(others.min() - number, number - others.max()) if others.size else 0.0
+    return bool(is_number.any()) and (not others.size or distance > np.ptp(others))
+
+
+def _values_in_si(
+    columns: Sequence[np.ndarray], channel: Channel, unit: ChannelUnit
+) -> Array:
+    """Return a channel in SI units, shape (n,) or (n, joints).
+
+    Args:
+        columns: Values in the file, shape (n,) or (n, k) each.
+        channel: The channel.
+        unit: The units of the columns.
+
+    Raises:
+        ColumnError: There are too many columns.
+        MappingError: There are more or fewer scale factors than columns.
+    """
+    values = np.column_stack(columns)
+    width = values.shape[1]
+    if width != 1 and not channel.per_joint:
+        listed = ", ".join(unit.columns)
+        raise ColumnError(f"{channel.name} is one column, but {listed} are {width}")
+
+    scales = np.atleast_1d(np.array(unit.scale, dtype=np.float64))
+    if scales.size not in (1, width):
+        raise MappingError(
+            f"{channel.name}: {scales.size} scale factors for {width} columns, "
+            "expected one for all or one for each"
+        )
+
+    widths = [prod(each.shape[1:]) for each in columns]
+    to_si = np.repeat([channel.units[each] for each in unit.units], widths)
+    values = values * (to_si * scales)
+    return values if channel.per_joint else values[:, 0]
+
+
+def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:
+    """Check that values can be in a unit that was assumed.
+
+    Args:
+        channel: The channel.
+        unit: In which it was read.
+        sizes: Of the values, shape (n,) or (n, joints); of time the median step.
+
+    Returns:
+        A note on values that are too large and few enough to be spikes, or too small.
+
+    Raises:
+        UnitError: More rows than spikes would be are too large for the unit.
+    """
+    if ASSUMED not in unit.origins:
+        return []
+
+    sizes = np.nan_to_num(sizes, posinf=0.0)
+    largest = sizes.max(initial=0.0)
+    size = f"is up to {largest:.4g} {channel.units.si}"
+    names = describe_columns(unit.columns)
+    # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
+    if channel.key == "force_N" and 0.0 < largest < 0.05:
+        return [f"force: {names} {size}; the file states no unit, and may be in kN"]
+
+    is_large = (sizes > channel.at_most).reshape(len(sizes), -1).any(axis=1)
+    large_count = np.count_nonzero(is_large)
+    text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
+    if large_count > 0.05 * len(sizes):  # fewer may be spikes
+        known = ", ".join(channel.units)
+        raise UnitError(f"{text}. The file states no unit of {known}")
+
+    return [f"{text}; rows beyond it: {large_count}"] if large_count else []
 
 
 def _report_invalid(channels: Mapping[str, Array], rows: NDArray[np.intp]) -> list[str]:
@@ -263,155 +420,3 @@ def _report_invalid(channels: Mapping[str, Array], rows: NDArray[np.intp]) -> li
             )
 
     return notes
-
-
-def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]]:
-    """Return columns by channel.
-
-    Raises:
-        ColumnError: A required one is not there, or none; or no joint has a name that
-            fits the pattern of the mapping.
-    """
-    found = request.find_all(table)
-    missing = [request.channels[name] for name in request.required if name not in found]
-    if missing:
-        channel = missing[0]
-        names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
-        raise ColumnError(
-            f"no column found for {names}; usual names of {channel.name} are "
-            f"{', '.join(channel.spellings)}. Columns are: {table.describe()}"
-            f"{table.left_out()}"
-        )
-    if not found:
-        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-
-    pattern = request.mapping.joint_pattern
-    columns = {column for each in found.values() for column in each}
-    if pattern and not table.joint_names and not fnmatch.filter(columns, pattern):
-        raise ColumnError(
-            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
-            "messages of the recording have names of joints; leave it out"
-        )
-
-    return found
-
-
-def _find_reference(table: Table, found: Mapping[str, Sequence[str]]) -> str:
-    """Return the clock whose stamps are the rows: that of the torques or the force."""
-    usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
-    column, *_ = next(iter([*usual, *found.values()]))
-    return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
-
-
-def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
-    """Return the column of time stamps, or those whose sum they are, and their units.
-
-    Raises:
-        ColumnError: There is none.
-    """
-    channel = request.channels["time"]
-    spec = request.mapping.channels.get("time")
-    columns = request.find(table, channel)
-    if spec is not None and len(columns) > len(spec.patterns):
-        raise several_fit(channel, columns)
-    if not columns:
-        raise ColumnError(
-            f"no time column found. Columns are: {table.describe()}{table.left_out()}",
-            "Name it under `time` in the `mapping`, or give `rate_hz`.",
-        )
-
-    return read_units(table, channel, columns, spec)
-
-
-def _values_of(
-    table: Table, channel: Channel, unit: ChannelUnit, missing: Sequence[float] = ()
-) -> Array:
-    """Return a channel in SI units, shape (n,) or (n, joints).
-
-    Args:
-        table: With the columns.
-        channel: The channel.
-        unit: Its columns and their units.
-        missing: Numbers in the file that stand for no value.
-
-    Raises:
-        ColumnError: There are too many columns.
-        MappingError: There are more or fewer scale factors than columns.
-    """
-    values = np.column_stack([table.values(name) for name in unit.columns])
-    width = values.shape[1]
-    if width != 1 and not channel.per_joint:
-        listed = ", ".join(unit.columns)
-        raise ColumnError(f"{channel.name} is one column, but {listed} are {width}")
-
-    scales = np.atleast_1d(np.array(unit.scale, dtype=np.float64))
-    if scales.size not in (1, width):
-        raise MappingError(
-            f"{channel.name}: {scales.size} scale factors for {width} columns, "
-            "expected one for all or one for each"
-        )
-
-    widths = [table.width(name) for name in unit.columns]
-    to_si = np.repeat([channel.units[each] for each in unit.units], widths)
-    values = np.where(np.isin(values, missing), np.nan, values * (to_si * scales))
-    return values if channel.per_joint else values[:, 0]
-
-
-def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
-    """Return time stamps in s, shape (n,), and the instant in ns that they count from.
-
-    Whole nanoseconds too large for float64, and sums of columns, are counted from the
-    first.
-    """
-    stamps = table.values(unit.columns[0])
-    is_ns = channel.units[unit.units[0]] * NS_PER_S == 1.0 and unit.scale == 1.0
-    if len(unit.columns) > 1:
-        factors = [channel.units[each] * NS_PER_S for each in unit.units]
-        terms = zip(unit.columns, factors, strict=True)
-        parts_ns = np.array([table.values(name) * factor for name, factor in terms])
-        known = np.isfinite(parts_ns).all(axis=0)
-        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
-    elif stamps.dtype.kind in "iu" and not table.start_ns and is_ns:
-        known = np.full(len(stamps), fill_value=True)
-        stamps_ns = stamps.astype(np.int64)
-    else:
-        return _values_of(table, channel, unit), table.start_ns
-
-    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
-    t_s = np.full(len(stamps), np.nan)
-    t_s[known] = to_seconds(stamps_ns, start_ns)
-    return t_s, start_ns
-
-
-def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:
-    """Check that values can be in a unit that was assumed.
-
-    Args:
-        channel: The channel.
-        unit: In which it was read.
-        sizes: Of the values, shape (n,) or (n, joints); of time the median step.
-
-    Returns:
-        A note on values that are too large and few enough to be spikes, or too small.
-
-    Raises:
-        UnitError: More rows than spikes would be are too large for the unit.
-    """
-    if ASSUMED not in unit.origins:
-        return []
-
-    largest = np.nan_to_num(sizes, posinf=0.0).reshape(len(sizes), -1).max(axis=1)
-    large_count = np.count_nonzero(largest > channel.at_most)
-    size = f"is up to {largest.max():.4g} {channel.units.si}"
-    names = describe_columns(unit.columns)
-    # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
-    if channel.key == "force_N" and 0.0 < largest.max() < 0.05:
-        return [f"force: {names} {size}; the file states no unit, and may be in kN"]
-    if not large_count:
-        return []
-
-    text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
-    if large_count <= 0.05 * len(sizes):  # so few may be spikes
-        return [f"{text}; rows beyond it: {large_count}"]
-
-    raise UnitError(f"{text}. The file states no unit of {', '.join(channel.units)}")

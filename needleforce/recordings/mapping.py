@@ -106,12 +106,14 @@ class ColumnMapping:
         joints: Names of the robot's joints in the recording, in its order, by which
             signals are found and put in order; or one pattern that they fit, `left_*`.
         knowledge: Channels, units and layouts that are known.
+        note: What else a user should hear of the recording.
     """
 
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
     knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
+    note: str = ""
 
     def __post_init__(self) -> None:
         """Check names, units and the rate, and write units as channels do.
@@ -146,6 +148,20 @@ class ColumnMapping:
             channels[name] = msgspec.structs.replace(spec, unit=unit)
 
         object.__setattr__(self, "channels", MappingProxyType(channels))
+
+    def updated(self, other: "ColumnMapping") -> "ColumnMapping":
+        """Return what another mapping says, and of this one what that does not say."""
+        channels = {**self.channels, **other.channels}
+        rate_hz = other.rate_hz
+        if rate_hz is not None:
+            channels.pop("time", None)
+        elif "time" not in other.channels:
+            rate_hz = self.rate_hz
+        joints = other.joints or self.joints
+        note = other.note or self.note
+        return replace(
+            other, channels=channels, rate_hz=rate_hz, joints=joints, note=note
+        )
 
     @property
     def joint_pattern(self) -> str:
@@ -211,11 +227,10 @@ def load_layouts(*paths: str | Path) -> Knowledge:
 
 def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
     """Return what the columns of a layout are; `MappingError` if that is not valid."""
-    top = {} if layout.rate_hz is None else {"rate_hz": layout.rate_hz}
+    content = {**layout.channels, "rate_hz": layout.rate_hz, "joints": layout.joints}
+    note = f"{layout.name}: {layout.note}" if layout.note else ""
     try:
-        return _mapping_of(
-            {**layout.channels, **top, "joints": layout.joints}, knowledge
-        )
+        return replace(_mapping_of(content, knowledge), note=note)
     except MappingError as error:
         raise MappingError(f"layout {layout.name!r}: {error}") from error
 

@@ -2,17 +2,15 @@
 
 import json
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.column_names import read_units
 from needleforce.recordings.errors import ColumnError, UnitError
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
-from needleforce.recordings.open_recording import columns_of
+from needleforce.recordings.open_recording import Source, columns_of, paths_of
 
 
 def suggest_mapping(
-    source: str | Path,
+    source: Source,
     channels: Iterable[str],
     *,
     mapping: ColumnMapping | None = None,
@@ -40,44 +38,46 @@ def suggest_mapping(
     top = {
         "rate_hz": known.rate_hz,
         "joints": list(known.joint_order or (joints if names_robot else ())),
+        **dict.fromkeys(sorted(known.left_out), LEFT_OUT),
     }
-    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
+    title = f"Mapping of {paths_of(source)[0].name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
     is_timed = known.rate_hz is not None or table.clocks
+    names = [*channels] if is_timed else ["time", *channels]
     used: set[str] = set()
-    for name in channels if is_timed else ("time", *channels):
-        channel = request.channels[name]
-        spec = known.channels.get(name)
-        if name in known.left_out:
-            lines.append(f'{name} = "{LEFT_OUT}"  # {channel.meaning}')
-            continue
+    for name in filter(lambda each: each not in known.left_out, names):
+        unit = None
+        reason = "not found"
         try:
-            columns = request.find(table, channel)
-            if not columns:
-                lines.append(comment_line(f"{name}: not found"))
-                continue
-            unit = read_units(table, channel, columns, spec)
+            unit = request.find(table, request.channels[name])
         except (ColumnError, UnitError) as error:
-            if spec is not None:
+            if name in known.channels:
                 raise
-            lines.append(comment_line(f"{name}: {error}"))
+            reason = str(error)
+        if unit is None:
+            lines.append(comment_line(f"{name}: {reason}"))
             continue
-        used |= {*columns}
+
+        used |= {*unit.columns}
+        column, *others = unit.columns
+        first_unit, *_ = unit.units
         values = {
-            "columns": columns if len(columns) > 1 else columns[0],
-            "unit": unit.units if len({*unit.units}) > 1 else unit.units[0],
+            "columns": unit.columns if others else column,
+            "unit": unit.units if len({*unit.units}) > 1 else first_unit,
             "scale": unit.scale,
         }
         entries = ", ".join(f"{key} = {json.dumps(v)}" for key, v in values.items())
-        lines.append(f"{name} = {{ {entries} }}  # {channel.meaning}")
+        lines.append(f"{name} = {{ {entries} }}  # {request.channels[name].meaning}")
 
-    lines += ["", *payload, "", "# Columns that are not used:"]
-    for name, values in table.columns.items():
-        if name not in used:
-            lines.append(comment_line(f"  {name} {list(values.shape[1:]) or ''}"))
-
-    return "\n".join([*lines, ""])
+    unused = [
+        comment_line(f"  {name} {list(values.shape[1:]) or ''}")
+        for name, values in table.columns.items()
+        if name not in used
+    ]
+    return "\n".join(
+        [*lines, "", *payload, "", "# Columns that are not used:", *unused, ""]
+    )
 
 
 def comment_line(text: str) -> str:

@@ -2,14 +2,14 @@
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os.path import commonprefix
 from pathlib import Path
 
 import numpy as np
 
-from needleforce.recordings.bag_file import BAG_SUFFIXES, bag_head, is_bag, read_bag
+from needleforce.recordings.bag_file import BAG_SUFFIXES, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.columnar import (
     ARROW_SUFFIXES,
@@ -22,37 +22,44 @@ from needleforce.recordings.errors import (
     KNOWN_SUFFIX,
     FileAccessError,
     FormatError,
+    RecordingError,
     file_errors,
     readable_path,
 )
-from needleforce.recordings.log import Log, log_of_table, read_times, time_unit
+from needleforce.recordings.log import (
+    Log,
+    log_of_table,
+    ordered_rows,
+    read_times,
+)
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
 from needleforce.recordings.text_file import CSV_SUFFIXES, read_text
 from needleforce.recordings.time_stamps import to_nanoseconds
 
-SUFFIXES = (
-    *CSV_SUFFIXES,
-    ".npz",
-    *ARROW_SUFFIXES,
-    *CONTAINER_SUFFIXES,
-    *BAG_SUFFIXES,
-)
+Source = str | Path | Sequence[str | Path]
+"""A recording: a file, a folder with a file for each signal, or such files."""
+
+READERS: dict[str, Callable[[Path], Table]] = {
+    ".npz": read_npz,
+    **dict.fromkeys(ARROW_SUFFIXES, read_arrow),
+    **dict.fromkeys(CONTAINER_SUFFIXES, read_container),
+}
+"""By the suffix of files that are neither text nor bags."""
+
+SUFFIXES = (*CSV_SUFFIXES, *READERS, *BAG_SUFFIXES)
 """Of the files that are read."""
 
 
-def read_table(
-    path: str | Path,
-    request: ChannelRequest | None = None,
-) -> Table:
+def read_table(source: Source, request: ChannelRequest | None = None) -> Table:
     """Read a file's columns as they stand, in its units, without saying what they mean.
 
     Args:
-        path: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
+        source: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
             `.asc` or `.lvm`; in `.npz`, `.parquet`, `.feather`, `.h5`, `.hdf5`, `.mat`
             or `.tdms`; a ROS bag: a file ending in `.mcap`, `.db3` or `.bag`, or a
-            folder of them; a folder with one file for each signal; or `-` for CSV on
-            standard input.
+            folder of them; a folder with one file for each signal, or a list of such
+            files; or `-` for CSV on standard input.
         request: what is read of a bag, and in which order joints are; all without.
 
     Raises:
@@ -60,17 +67,34 @@ def read_table(
         FormatError: nothing usable is in it.
     """
     request = request or ChannelRequest()
-    if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
-        return read_bag(Path(path), lambda head: _select(head, request))
+    paths = paths_of(source)
+    if all(map(is_bag, paths)):
+        return read_bag(paths, lambda head: _select(head, request))
 
-    if str(path) != STANDARD_STREAM and Path(path).is_dir():
-        table = _read_folder(Path(path), request)
+    if paths[0].is_dir():
+        table = _read_files(_files_in(paths[0]), request)
+    elif len(paths) > 1:
+        table = _read_files(paths, request)
     else:
-        table = _read_file(path, request)
+        table = _read_file(paths[0], request)
     if not table.columns:
-        raise FormatError(f"{path} holds no column of numbers{table.left_out()}")
+        raise FormatError(f"{source} holds no column of numbers{table.left_out()}")
 
     return request.in_joint_order(table)
+
+
+def paths_of(source: Source) -> list[Path]:
+    """Return the paths of a recording; `FileAccessError` if one is a device."""
+    sources = [source] if isinstance(source, str | Path) else source
+    return [readable_path(each) for each in sources]
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the files in a folder that can be read."""
+    with file_errors(folder):
+        files = sorted(folder.iterdir())
+
+    return [file for file in files if file.name.lower().endswith(SUFFIXES)]
 
 
 def _select(head: Table, request: ChannelRequest) -> Table:
@@ -81,106 +105,142 @@ def _select(head: Table, request: ChannelRequest) -> Table:
     return request.in_joint_order(replace(head, columns=columns))
 
 
-def _read_file(path: str | Path, request: ChannelRequest) -> Table:
-    """Return the table of a file that is no bag; raises as `read_table` does."""
+def _read_file(path: Path, request: ChannelRequest) -> Table:
+    """Return the table of one file; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
-    if str(path) == STANDARD_STREAM:
-        return read_text(sys.stdin.buffer.read(), "stdin", knowledge)
+    if is_bag(path):
+        return read_bag([path], lambda head: head)
 
-    path = Path(path)
-    name = path.name.lower()
     with file_errors(path):
-        if path.is_fifo() or name.endswith(CSV_SUFFIXES):
+        if str(path) == STANDARD_STREAM:
+            return read_text(sys.stdin.buffer.read(), "stdin", knowledge)
+        if path.is_fifo() or path.name.lower().endswith(CSV_SUFFIXES):
             return read_text(path.read_bytes(), str(path), knowledge)
-        if name.endswith(".npz"):
-            return read_npz(path)
-        if name.endswith(ARROW_SUFFIXES):
-            return read_arrow(path)
-        if name.endswith(CONTAINER_SUFFIXES):
-            return read_container(path)
-
-    if conversion := knowledge.conversions.get(path.suffix.lower()):
-        raise FileAccessError(
-            f"{path} is not read as it is", f"To read it, {conversion}."
-        )
+        if reader := READERS.get(path.suffix.lower()):
+            return reader(path)
+        path.stat()  # a name that is not there may lack its suffix
 
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}", KNOWN_SUFFIX
     )
 
 
-def _read_folder(folder: Path, request: ChannelRequest) -> Table:
-    """Return the signals of the files in a folder, each with the clock of its file.
-
-    Columns are called after their file, without what all files' names begin with. The
-    columns of a file without a header are one signal, the first of them the time.
+def _read_files(paths: Sequence[Path], request: ChannelRequest) -> Table:
+    """Return the signals of several files, each with the clock of its file.
 
     Raises:
-        RecordingError: A file cannot be read, or has no time stamps.
+        RecordingError: A file cannot be read, has no usable time stamps, or is called
+            as another one.
     """
-    paths = [p for p in sorted(folder.iterdir()) if p.name.lower().endswith(SUFFIXES)]
-    stems = [path.name.partition(".")[0] for path in paths]
-    # Characters are meant, not parts of a path.
-    start = commonprefix(stems)  # noqa: RUF071
-    start = re.sub(r"[^\W_]*$", "", start) if len(paths) > 1 else ""
+    stems = [Path(path.name.removesuffix(".gz")).stem for path in paths]
+    # What all begin with is the name of the run. Characters are meant, no path.
+    start = commonprefix(stems) if len(paths) > 1 else ""  # noqa: RUF071
+    run = re.sub(r"[^\W_]*$", "", start)
     whole = Table(columns={})
     for path, stem in zip(paths, stems, strict=True):
-        name = stem.removeprefix(start)
         table = _read_file(path, request)
-        columns = dict(table.columns)
-        if "column_1" in columns:
-            first, *others = columns.values()
-            columns = {"t_s": first, name: np.column_stack(others)}
-            table = replace(table, columns=columns, warnings=())
+        try:
+            if not table.clocks:
+                table = _with_clock(table, stem.removeprefix(run), request)
+        except RecordingError as error:
+            raise error.reworded(f"{path}: {error}") from error
 
-        time = time_unit(table, request.with_layout(table))
-        t_s, start_ns = read_times(table, request.channels["time"], time)
-        is_row = np.isfinite(t_s)
-        signals = {
-            column if column == name else f"{name}/{column}": values[is_row]
-            for column, values in columns.items()
-            if column not in time.columns
-        }
-        units = {f"{name}/{column}": unit for column, unit in table.units.items()}
-        whole = replace(
-            whole,
-            columns={**whole.columns, **signals},
-            units={**whole.units, **units},
-            clocks={**whole.clocks, **dict.fromkeys(signals, name)},
-            stamps_ns={**whole.stamps_ns, name: to_nanoseconds(t_s[is_row], start_ns)},
-            warnings=(*whole.warnings, *(f"{name}: {each}" for each in table.warnings)),
+        if shared := whole.stamps_ns.keys() & table.stamps_ns.keys():
+            taken = ", ".join(shared)
+            raise FormatError(f"{path}: another file has signals of {taken}, too")
+
+        whole = Table(
+            columns={**whole.columns, **table.columns},
+            joint_names={**whole.joint_names, **table.joint_names},
+            units={**whole.units, **table.units},
+            clocks={**whole.clocks, **table.clocks},
+            stamps_ns={**whole.stamps_ns, **table.stamps_ns},
+            warnings=(*whole.warnings, *table.warnings),
         )
 
     return whole
 
 
-def columns_of(path: str | Path, mapping: ColumnMapping) -> Table:
-    """Return the columns of a recording, a bag's without rows; see `read_table`."""
-    if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
-        return bag_head(Path(path))
+def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
+    """Return the signals of one of several files, called after it, with its clock.
 
-    return read_table(path, ChannelRequest(mapping))
+    The columns of a file without a header are one signal, the first of them the time.
+
+    Args:
+        table: The columns of the file.
+        name: Of the file.
+        request: Tells the time stamps.
+
+    Raises:
+        RecordingError: There are no time stamps, or no signal beside them.
+    """
+    if len(table.columns) < 2:
+        raise FormatError("expected time stamps and a signal")
+    if all(column.startswith("column_") for column in table.columns):
+        first, *others = table.columns.values()
+        time_name = "column_1" if "time" in request.mapping.channels else "time"
+        signal = others[0] if len(others) == 1 else np.column_stack(others)
+        columns = {time_name: first, name: signal}
+        table = replace(table, columns=columns, warnings=())
+
+    channel = request.channels["time"]
+    time = request.with_layout(table).find_time(table)
+    t_s, start_ns = read_times(table, channel, time)
+    signals = {
+        column if column == name else f"{name}/{column}": column
+        for column in table.columns
+        if column not in time.columns
+    }
+    first = table.columns[next(iter(signals.values()))]
+    rows, t_s, notes = ordered_rows(t_s, first, channel, time)
+    return Table(
+        columns={new: table.columns[column][rows] for new, column in signals.items()},
+        joint_names={
+            new: table.joint_names[column]
+            for new, column in signals.items()
+            if column in table.joint_names
+        },
+        units={
+            new: table.units[column]
+            for new, column in signals.items()
+            if column in table.units
+        },
+        clocks=dict.fromkeys(signals, name),
+        stamps_ns={name: to_nanoseconds(t_s, start_ns)},
+        warnings=tuple(f"{name}: {each}" for each in (*table.warnings, *notes)),
+    )
+
+
+def columns_of(source: Source, mapping: ColumnMapping) -> Table:
+    """Return the columns of a recording, a bag's without rows; see `read_table`."""
+    paths = paths_of(source)
+    if all(map(is_bag, paths)):
+        return read_bag(paths, lambda head: replace(head, columns={}))
+
+    return read_table(source, ChannelRequest(mapping))
 
 
 def read_log(
-    path: str | Path,
+    source: Source,
     mapping: ColumnMapping | None = None,
     *,
     required: Iterable[str] = (),
     optional: Iterable[str] = (),
+    named: Iterable[str] = (),
     joints: Iterable[str] = (),
     layouts: Iterable[str | Path] = (),
 ) -> Log:
     """Read a recording into SI units; its `warnings` say what is wrong with it.
 
     Args:
-        path: see `read_table`.
+        source: see `read_table`.
         mapping: which columns are which channels; channels it does not list, or all
             without a mapping, are found by their usual names.
         required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`,
             `speed`, `force`.
         optional: channels taken if they are there. With neither given, all are
             optional.
+        named: channels taken if the mapping or the layout names their columns.
         joints: names of the robot's joints; a recording that names joints is put into
             this order.
         layouts: TOML files that add words, units and layouts to those that are known.
@@ -195,5 +255,7 @@ def read_log(
     if layouts:
         mapping = replace(mapping, knowledge=load_layouts(*layouts))
 
-    request = ChannelRequest(mapping, tuple(required), tuple(optional), tuple(joints))
-    return log_of_table(read_table(path, request), request)
+    request = ChannelRequest(
+        mapping, tuple(required), tuple(optional), tuple(joints), tuple(named)
+    )
+    return log_of_table(read_table(source, request), request)

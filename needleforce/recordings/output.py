@@ -1,9 +1,9 @@
 """Tables that are written: whole or not at all, or row by row for others to follow."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 from needleforce.files import whole_file
 from needleforce.recordings.bag_file import METADATA, is_bag
 from needleforce.recordings.errors import (
-    EQUAL_COLUMNS,
     KNOWN_SUFFIX,
-    OWN_PLACES,
     FileAccessError,
     LogError,
     file_errors,
@@ -22,6 +20,8 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import STANDARD_STREAM, TableColumns, TableLabels
 from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
+
+OWN_PLACES = "Give each output a place of its own, in a folder that exists."
 
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
@@ -38,7 +38,6 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
         raise LogError(
             f"expected columns with names and numbers of shape (n,) or (n, k), all of "
             f"the same n, not {shapes or columns}",
-            EQUAL_COLUMNS,
         )
 
     return arrays
@@ -109,9 +108,7 @@ def open_table(
     else:
         name = str(path)
         writer = _find_writer(Path(path))
-        if not overwrites:
-            _require_new(Path(path))
-
+        require_place(Path(path), overwrites=overwrites)
         is_growing = is_live and name.lower().endswith((".csv", ".mcap"))
         file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 
@@ -183,53 +180,49 @@ def check_writable(path: str | Path, *, overwrites: bool = True) -> None:
     """
     if str(path) != STANDARD_STREAM:
         _find_writer(Path(path))
-        require_place(Path(path))
-        if not overwrites:
-            _require_new(Path(path))
+        require_place(Path(path), overwrites=overwrites)
 
 
-def require_place(path: Path) -> None:
-    """Check that a file can stand at a path; `FileAccessError` if not."""
+def require_place(path: Path, *, overwrites: bool = True) -> None:
+    """Check that a file can stand at a path; a pipe or a device may be there.
+
+    Args:
+        path: The place.
+        overwrites: Whether a file that is there may be replaced.
+
+    Raises:
+        FileAccessError: There is no folder, it is one, or a file would be lost.
+    """
     with file_errors(path, "write"):
+        if not overwrites and path.is_file():
+            raise FileAccessError(
+                f"{path} exists", "Give another name, or overwrite it (`--overwrite`)."
+            )
         if not path.parent.is_dir():
             raise FileAccessError(
-                f"cannot write {path}: there is no folder {path.parent}",
-                OWN_PLACES,
+                f"cannot write {path}: there is no folder {path.parent}", OWN_PLACES
             )
-
         if path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder", OWN_PLACES)
 
 
-def _require_new(path: Path) -> None:
-    """Check that no file is at a path; a pipe or a device may be.
-
-    Raises:
-        FileAccessError: There is one, which would be lost.
-    """
-    with file_errors(path, "write"):
-        if path.is_file():
-            raise FileAccessError(
-                f"{path} exists", "Give another name, or overwrite it (`--overwrite`)."
-            )
-
-
-def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
+def check_outputs(outputs: Mapping[str, Path], sources: Iterable[Path] = ()) -> None:
     """Check that no output would replace another one, or harm the recording read.
 
     Args:
         outputs: Paths by the options that name them.
-        source: The recording, a file or a folder, which need not exist.
+        sources: The recording, files or a folder, which need not exist.
 
     Raises:
         FileAccessError: One would.
     """
-    paths = dict(outputs)
-    if source is not None and source.exists():
+    logs: list[tuple[str, Path]] = []
+    for source in filter(Path.exists, sources):
         is_in_bag = is_bag(source) and (source.resolve().parent / METADATA).exists()
-        paths["the log"] = source.resolve().parent if is_in_bag else source
+        logs.append(("the log", source.resolve().parent if is_in_bag else source))
 
-    for (option, path), (other_option, other) in combinations(paths.items(), 2):
+    pairs = [*combinations(outputs.items(), 2), *product(outputs.items(), logs)]
+    for (option, path), (other_option, other) in pairs:
         with file_errors(path, "write"):
             is_same_file = path.exists() and other.exists() and path.samefile(other)
             place = path.resolve()

@@ -63,6 +63,7 @@ class Table:
         clocks: By name of a column: what stamped its rows, a topic or a file; none
             where one column holds the time stamps of all.
         stamps_ns: By clock: the time stamp of each row, shape (n,).
+        empty: Names of what holds no number, although it might.
     """
 
     columns: TableColumns
@@ -73,14 +74,24 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    empty: tuple[str, ...] = ()
 
     def values(self, name: str) -> np.ndarray:
-        """Return a column, or an element of one such as `wrench[2]`."""
-        if name in self.columns:
+        """Return a column, or an element of one such as `wrench[2]`.
+
+        Raises:
+            KeyError: There is no such column.
+        """
+        element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
+        if name in self.columns or element is None:
             return self.columns[name]
 
-        head, _, index = name.removesuffix("]").rpartition("[")
-        return self.columns[head][:, int(index)]
+        array = self.columns[element[1]]
+        index = int(element[2])
+        if array.shape[1:] <= (index,):
+            raise KeyError(name)
+
+        return array[:, index]
 
     def width(self, name: str) -> int:
         """Return how many values a row has in a column, or an element of one."""
@@ -92,6 +103,7 @@ class Table:
             f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
             for name, values in self.columns.items()
         ]
+        names += [f"{name} (empty)" for name in self.empty]
         more = f" and {len(names) - limit} more" if len(names) > limit else ""
         return ", ".join(names[:limit]) + more
 

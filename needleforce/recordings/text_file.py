@@ -6,7 +6,6 @@ import gzip
 import io
 import re
 import warnings
-import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +17,7 @@ from needleforce.recordings import errors
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.columnar import table_of_frame
-from needleforce.recordings.errors import FormatError
+from needleforce.recordings.errors import FormatError, damage_errors
 from needleforce.recordings.table import START_KEY, Table
 
 CSV_SUFFIXES = (
@@ -110,22 +109,22 @@ def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
         decimal = ","
         notes.append("decimal commas read as points")
 
-    try:
-        with warnings.catch_warnings(record=True, action="always") as caught:
-            frame = pd.read_csv(
-                io.BytesIO(data),
-                sep=start.delimiter,
-                skiprows=lines[start.first_row][0],
-                header=None,
-                names=names,
-                index_col=False,  # a delimiter may end each row
-                comment="#",
-                decimal=decimal,
-                skipinitialspace=True,
-                on_bad_lines="warn",
-            )
-    except pd.errors.ParserError as error:
-        raise FormatError(f"{name}: {error}") from error
+    with (
+        damage_errors(name, "table"),
+        warnings.catch_warnings(record=True, action="always") as caught,
+    ):
+        frame = pd.read_csv(
+            io.BytesIO(data),
+            sep=start.delimiter,
+            skiprows=lines[start.first_row][0],
+            header=None,
+            names=names,
+            index_col=False,  # a delimiter may end each row
+            comment="#",
+            decimal=decimal,
+            skipinitialspace=True,
+            on_bad_lines="warn",
+        )
 
     faults = "".join(str(each.message) for each in caught)
     if count := faults.count("Skipping line"):
@@ -148,20 +147,16 @@ def _in_utf8(data: bytes, name: str) -> bytes:
         FormatError: It is damaged.
     """
     if data.startswith(b"\x1f\x8b"):
-        try:
-            with gzip.open(io.BytesIO(data)) as file:
-                data = file.read(errors.MAX_BYTES + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise FormatError(f"{name}: damaged gzip ({error})") from error
+        with damage_errors(name, "gzip file"), gzip.open(io.BytesIO(data)) as file:
+            data = file.read(errors.MAX_BYTES + 1)
 
         errors.require_size(len(data), f"{name}: its text")
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ("utf-16",) if is_wide else ("utf-8", "cp1252"):
+    for encoding in ("utf-16",) if is_wide else ("utf-8-sig", "cp1252"):
         with suppress(UnicodeDecodeError):
             text = data.decode(encoding)
-            if "\0" not in text:  # without a copy where there is no need
-                is_utf8 = encoding == "utf-8"
-                return data.removeprefix(codecs.BOM_UTF8) if is_utf8 else text.encode()
+            if "\0" not in text:
+                return text.encode()
 
     raise FormatError(
         f"{name}: it is no text in UTF-8, UTF-16 or Windows' encoding",
@@ -206,15 +201,12 @@ def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
             continue
 
         header = next((each for each in above if len(rows[each]) >= len(cells)), -1)
-        is_bare = not tables and count > 1 and 2 * count >= len(cells)
-        if header >= 0 or is_bare:
-            names = rows[header] if header >= 0 else []
-            # LabVIEW leaves the cells below it away.
-            has_comment = bool(names) and names[-1].lower() == "comment"
-            width = max(len(cells), len(names) - has_comment)
-            tables.append(_Start(0, delimiter, header, place, width))
-
         above = []
+        if header >= 0 or (not tables and 1 < count >= len(cells) / 2):
+            names = rows[header] if header >= 0 else []
+            # LabVIEW leaves the cells below its last name away.
+            named = len(names) - ([each.lower() for each in names[-1:]] == ["comment"])
+            tables.append(_Start(0, delimiter, header, place, max(len(cells), named)))
         if tables and len(cells) <= tables[-1].width:
             number_count = tables[-1].number_count + count
             tables[-1] = tables[-1]._replace(number_count=number_count)
@@ -224,11 +216,11 @@ def _tables_in(lines: Sequence[str], delimiter: str) -> list[_Start]:
 
 def _unique_names(header: Sequence[str], width: int) -> list[str]:
     """Return a name for each of so many columns, `column_3` where there is none."""
-    names: list[str] = []
-    for number, cell in enumerate([*header, *[""] * width][:width], 1):
-        names.append(cell if cell and cell not in names else f"column_{number}")
-
-    return names
+    cells = [*header, *[""] * width][:width]
+    return [
+        cell if cell and cell not in cells[:place] else f"column_{place + 1}"
+        for place, cell in enumerate(cells)
+    ]
 
 
 def _count_names(cells: Iterable[str], knowledge: Knowledge) -> int:

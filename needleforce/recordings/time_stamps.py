@@ -59,28 +59,25 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     return counted + np.int64(start_ns)
 
 
-def with_own_clocks(
-    table: Table, found: Mapping[str, Sequence[str]], t_s: Array
-) -> Table:
+def with_own_clocks(table: Table, found: Mapping[str, Sequence[str]]) -> Table:
     """Return a table whose channels have clocks, where rows hold one or the other.
 
     Rows may have a stamp and either a force or a pose. Then a row without a value is no
     sample of a channel, rather than one that is missing.
 
     Args:
-        table: With one time stamp a row.
+        table: With the time stamp of each row as `t_s`.
         found: Columns by channel.
-        t_s: Time stamps of the rows, shape (n,).
 
     Returns:
         The table itself unless two channels share less than half of their samples.
     """
-    samples = {
-        name: np.isfinite(
-            np.column_stack([t_s, *map(table.values, columns)]).min(axis=1)
-        )
-        for name, columns in found.items()
-    }
+    t_s = table.columns["t_s"]
+    samples: dict[str, NDArray[np.bool_]] = {}
+    for name, columns in found.items():
+        rows = np.column_stack([t_s, *map(table.values, columns)])
+        samples[name] = np.isfinite(rows.sum(axis=1))
+
     shared = np.logical_and.reduce([*samples.values()])
     fewest = min(map(np.count_nonzero, samples.values()))
     if 2 * np.count_nonzero(shared) >= fewest:
@@ -201,22 +198,17 @@ def rows_in_order(t_s: Array, values: Array) -> OrderedRows:
             share stamps or came in bursts, so that stamps do not tell their times.
     """
     rows = np.flatnonzero(np.isfinite(t_s))
-    notes: list[str] = []
-    if len(rows) < len(t_s):
-        first = int(np.argmin(np.isfinite(t_s)))
-        count = len(t_s) - len(rows)
-        notes.append(
-            f"time: rows without a stamp, left out: {count} (first: row {first + 1})"
-        )
-
     is_bad = _is_contradicted(t_s[rows])
-    if is_bad.any():
-        first = rows[np.argmax(is_bad)]
-        notes.append(
-            f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
-            f"(first: row {first + 1}, {t_s[first]:.13g} s)"
-        )
-
+    left_out = {
+        "no": np.flatnonzero(~np.isfinite(t_s)),
+        "a contradicted": rows[is_bad],
+    }
+    notes = [
+        f"time: rows with {what} stamp, left out: {len(which)} (first: row "
+        f"{which[0] + 1}, {t_s[which[0]]:.13g} s)"
+        for what, which in left_out.items()
+        if len(which)
+    ]
     rows = rows[~is_bad]
     lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
     if lateness_s.any():
@@ -264,7 +256,8 @@ def _refuse_shared_stamps(stamps_s: Array, values: Array) -> None:
     is_changed = values[1:] != values[:-1]
     is_sample = is_changed.any(axis=tuple(range(1, values.ndim)))
     if np.count_nonzero(~is_new & is_sample) > len(stamps_s) / 3:
-        raise _no_times("samples share stamps")
+        starts = np.flatnonzero(is_new) + 1
+        raise _no_times("samples share stamps", stamps_s, starts)
 
 
 def _refuse_bursts(stamps_s: Array) -> None:
@@ -274,7 +267,28 @@ def _refuse_bursts(stamps_s: Array) -> None:
     starts = np.flatnonzero(is_pause) + 1
     is_mostly_paused = steps_s[is_pause].sum() > 0.5 * steps_s.sum()
     if len(starts) >= 10 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
-        raise _no_times("stamps come in bursts")
+        raise _no_times("stamps come in bursts", stamps_s, starts)
+
+
+def _no_times(fault: str, stamps_s: Array, starts: NDArray[np.intp]) -> LogError:
+    """Return the error of stamps that say only when each group of samples came.
+
+    Args:
+        fault: What is wrong.
+        stamps_s: Shape (m,).
+        starts: The first row of each group but the first one.
+    """
+    rate = "HZ"
+    if len(starts) > 1:
+        first, *_, last = starts
+        rate = f"{(last - first) / (stamps_s[last] - stamps_s[first]):.4g}"
+
+    return LogError(
+        f"time: {fault}, so they do not tell when a sample was measured",
+        f"If the samples are even, number them: --rate {rate}, `rate_hz` in the "
+        "mapping; a stamp in two columns is --time sec:s+nanosec:ns; else write stamps "
+        "of the source with all digits.",
+    )
 
 
 def _is_contradicted(t_s: Array) -> NDArray[np.bool_]:
@@ -285,13 +299,3 @@ def _is_contradicted(t_s: Array) -> NDArray[np.bool_]:
 
     around_s = median_filter(t_s, 9, mode="nearest")
     return np.abs(t_s - around_s) > max(SORTED_WITHIN_S, 20.0 * step_s)
-
-
-def _no_times(fault: str) -> LogError:
-    """Return the error of stamps that say only when each group of samples came."""
-    return LogError(
-        f"time: {fault}, so they do not tell when a sample was measured",
-        "If the samples are even, give their rate: --rate HZ, `rate_hz` in the "
-        "mapping; a stamp in two columns is --time sec:s+nanosec:ns; else write stamps "
-        "of the source with all digits.",
-    )

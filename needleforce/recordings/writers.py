@@ -6,18 +6,19 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from needleforce.recordings.errors import (
-    EQUAL_COLUMNS,
     LogError,
     optional_library,
 )
 from needleforce.recordings.table import (
     START_KEY,
+    LinkPoses,
     TableColumns,
     TableLabels,
     flat_columns,
@@ -110,6 +111,17 @@ def standard_types() -> Any:
     return library.get_typestore(library.Stores.ROS2_HUMBLE)
 
 
+def _message(kind: str, *fields: Any) -> Any:
+    """Return a message of one of ROS's own types."""
+    return standard_types().types[kind](*fields)
+
+
+def _header(stamp_ns: int, frame: str) -> Any:
+    """Return the header of a message with this time stamp, in a frame."""
+    stamp = _message("builtin_interfaces/msg/Time", *divmod(stamp_ns, NS_PER_S))
+    return _message("std_msgs/msg/Header", stamp, frame)
+
+
 class WrittenTopic(NamedTuple):
     """A topic to be written.
 
@@ -131,13 +143,20 @@ def bag_topics(
 
     `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with
     `ft_torque_Nm`, and `force_x_in_...`, `torque_x_in_...` and so on, become a
-    `WrenchStamped`; every other column but `t_s` becomes a `Float64` of its own.
+    `WrenchStamped`; every other column but `t_s` becomes a `Float64` of its own. The
+    description of the robot is in the first row.
 
     Args:
         columns: Of the rows, shape (n,) or (n, k).
         labels: Names of joints, frame and prefix.
         stamps_ns: Time stamps of the rows.
     """
+    if labels.robot_description:
+        kind = "std_msgs/msg/String"
+        text = _message(kind, labels.robot_description)
+        messages = (None if row else text for row in range(len(stamps_ns)))
+        yield WrittenTopic("/robot_description", kind, messages)
+
     remaining = {
         name: np.array(values, dtype=np.float64, order="C")
         for name, values in columns.items()
@@ -148,105 +167,91 @@ def bag_topics(
         for name in ("q_rad", "dq_rad_s", "tau_Nm")  # of position, velocity, effort
         if name in remaining and remaining[name].ndim == 2
     }
-    widths = {values.shape[1] for values in signals.values()}
-    if len(widths) == 1:
+    if len({values.shape[1] for values in signals.values()}) == 1:
         for name in signals:
             del remaining[name]
 
         messages = _joint_states(signals, labels.joint_names, stamps_ns)
         yield WrittenTopic("/joint_states", "sensor_msgs/msg/JointState", messages)
     if "q_rad" in signals and labels.link_poses is not None:
-        poses = _link_poses(signals["q_rad"], labels, stamps_ns)
+        poses = _link_poses(signals["q_rad"], labels.link_poses, stamps_ns)
         yield WrittenTopic("/tf", "tf2_msgs/msg/TFMessage", poses)
 
     force = remaining.get("ft_force_N", np.empty(0))
     torque = remaining.get("ft_torque_Nm", np.empty(0))
     if force.shape[1:] == torque.shape[1:] == (3,):
         del remaining["ft_force_N"], remaining["ft_torque_Nm"]
-        headers = _headers(stamps_ns, "ft_sensor")
-        yield _wrenches("/ft_sensor/wrench", force, torque, headers)
+        yield _wrenches("/ft_sensor/wrench", "ft_sensor", stamps_ns, force, torque)
 
     force = _pop_vector(remaining, "force")
     torque = _pop_vector(remaining, "torque")
     if force is not None:
         # A force at the tip has no torque.
         torque = np.zeros_like(force) if torque is None else torque
-        headers = _headers(stamps_ns, labels.frame)
-        yield _wrenches(f"{labels.prefix}/wrench", force, torque, headers)
+        name = f"{labels.prefix}/wrench"
+        yield _wrenches(name, labels.frame, stamps_ns, force, torque)
 
     # Without a header: the time stamp is the one of the record.
     kind = "std_msgs/msg/Float64"
-    make_number = standard_types().types[kind]
     for name, values in flat_columns(remaining).items():
         topic_name = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
-        yield WrittenTopic(topic_name, kind, map(make_number, values.tolist()))
-
-
-def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
-    """Yield the headers of messages with these time stamps, in a frame."""
-    types = standard_types().types
-    make_time = types["builtin_interfaces/msg/Time"]
-    make_header = types["std_msgs/msg/Header"]
-    for stamp_ns in stamps_ns:
-        yield make_header(make_time(*divmod(stamp_ns, NS_PER_S)), frame)
+        messages = map(partial(_message, kind), values.tolist())
+        yield WrittenTopic(topic_name, kind, messages)
 
 
 def _joint_states(
     signals: TableColumns, names: Sequence[str], stamps_ns: Sequence[int]
 ) -> Iterator[Any]:
     """Yield joint signals, shape (n, joints) each, as a `JointState` for each row."""
-    make_state = standard_types().types["sensor_msgs/msg/JointState"]
     width = next(iter(signals.values())).shape[1]
-    joint_names = list(names)
-    if len(names) != width:
-        joint_names = [f"joint_{number + 1}" for number in range(width)]
-
+    numbered = [f"joint_{number}" for number in range(1, width + 1)]
+    joint_names = list(names) if len(names) == width else numbered
     nothing = np.empty((len(stamps_ns), 0))
     numbers = [signals.get(name, nothing) for name in ("q_rad", "dq_rad_s", "tau_Nm")]
-    for header, *row in zip(_headers(stamps_ns, ""), *numbers, strict=True):
-        yield make_state(header, joint_names, *row)
+    for stamp_ns, *row in zip(stamps_ns, *numbers, strict=True):
+        header = _header(stamp_ns, "")
+        yield _message("sensor_msgs/msg/JointState", header, joint_names, *row)
 
 
 def _link_poses(
-    q_rad: np.ndarray, labels: TableLabels, stamps_ns: Sequence[int]
+    q_rad: np.ndarray, link_poses: LinkPoses, stamps_ns: Sequence[int]
 ) -> Iterator[Any]:
     """Yield a `TFMessage` 30 times a second, as a screen shows; None for other rows.
 
     Args:
         q_rad: Joint positions, shape (n, joints).
-        labels: With the function that says where the links are.
+        link_poses: Says where the links are.
         stamps_ns: Time stamps of the rows.
     """
-    types = standard_types().types
-    latest: int | None = None
+    latest = -1
     for position_rad, stamp_ns in zip(q_rad, stamps_ns, strict=True):
         picture = int(stamp_ns * 30.0 / NS_PER_S)
-        if (
-            labels.link_poses is None
-            or picture == latest
-            or np.isnan(position_rad).any()
-        ):
+        if picture == latest or np.isnan(position_rad).any():
             yield None
             continue
 
         latest = picture
-        links = labels.link_poses(position_rad)
-        transforms: list[Any] = []
-        for header, child, origin_m, turn in zip(
-            _headers([stamp_ns] * len(links.children), links.parent),
-            links.children,
-            links.translation_m.tolist(),
-            links.rotation_xyzw.tolist(),
-            strict=True,
-        ):
-            pose = types["geometry_msgs/msg/Transform"](
-                types["geometry_msgs/msg/Vector3"](*origin_m),
-                types["geometry_msgs/msg/Quaternion"](*turn),
+        links = link_poses(position_rad)
+        header = _header(stamp_ns, links.parent)
+        transforms = [
+            _message(
+                "geometry_msgs/msg/TransformStamped",
+                header,
+                child,
+                _message(
+                    "geometry_msgs/msg/Transform",
+                    _message("geometry_msgs/msg/Vector3", *origin_m),
+                    _message("geometry_msgs/msg/Quaternion", *turn),
+                ),
             )
-            stamped = types["geometry_msgs/msg/TransformStamped"](header, child, pose)
-            transforms.append(stamped)
-
-        yield types["tf2_msgs/msg/TFMessage"](transforms)
+            for child, origin_m, turn in zip(
+                links.children,
+                links.translation_m.tolist(),
+                links.rotation_xyzw.tolist(),
+                strict=True,
+            )
+        ]
+        yield _message("tf2_msgs/msg/TFMessage", transforms)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | None:
@@ -269,17 +274,26 @@ def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | N
 
 
 def _wrenches(
-    name: str, force: np.ndarray, torque: np.ndarray, headers: Iterable[Any]
+    name: str,
+    frame: str,
+    stamps_ns: Sequence[int],
+    force: np.ndarray,
+    torque: np.ndarray,
 ) -> WrittenTopic:
     """Return forces and torques, shape (n, 3), as a topic of `WrenchStamped`."""
-    types = standard_types().types
-    make_vector = types["geometry_msgs/msg/Vector3"]
-    make_wrench = types["geometry_msgs/msg/Wrench"]
     kind = "geometry_msgs/msg/WrenchStamped"
-    rows = zip(headers, force.tolist(), torque.tolist(), strict=True)
+    rows = zip(stamps_ns, force.tolist(), torque.tolist(), strict=True)
     messages = (
-        types[kind](header, make_wrench(make_vector(*force_N), make_vector(*torque_Nm)))
-        for header, force_N, torque_Nm in rows
+        _message(
+            kind,
+            _header(stamp_ns, frame),
+            _message(
+                "geometry_msgs/msg/Wrench",
+                _message("geometry_msgs/msg/Vector3", *force_N),
+                _message("geometry_msgs/msg/Vector3", *torque_Nm),
+            ),
+        )
+        for stamp_ns, force_N, torque_Nm in rows
     )
     return WrittenTopic(name, kind, messages)
 
@@ -300,42 +314,30 @@ def mcap_writer(
     # Rows that come at once make a chunk, or several of 64 KiB.
     bag = library.Writer(stream, chunk_size=1 << 16, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
-    channels = [
-        _register(bag, topic.name, topic.kind)
-        for topic in bag_topics(empty, labels, ())
-    ]
-    is_first = True
+    channels: dict[str, int] = {}
+    for topic in bag_topics(empty, labels, ()):
+        definition, _ = types.generate_msgdef(topic.kind, ros_version=2)
+        schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
+        channels[topic.name] = bag.register_channel(topic.name, "cdr", schema)
 
     def append(columns: TableColumns) -> None:
+        nonlocal labels
         stamps_ns = _message_stamps_ns(columns, labels)
-        nonlocal is_first
-        if is_first and stamps_ns and labels.robot_description:
-            kind = "std_msgs/msg/String"
-            channel = _register(bag, "/robot_description", kind)
-            message = types.types[kind](labels.robot_description)
-            data = types.serialize_cdr(message, kind)
-            bag.add_message(channel, stamps_ns[0], data, stamps_ns[0])
-
-        is_first = is_first and not stamps_ns
-        topics = bag_topics(columns, labels, stamps_ns)
+        topics = list(bag_topics(columns, labels, stamps_ns))
         rows = (topic.messages for topic in topics)
         for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
-            for channel, message in zip(channels, messages, strict=True):
+            for topic, message in zip(topics, messages, strict=True):
                 if message is not None:
-                    data = types.serialize_cdr(message, message.__msgtype__)
-                    bag.add_message(channel, stamp_ns, data, stamp_ns)
+                    data = types.serialize_cdr(message, topic.kind)
+                    bag.add_message(channels[topic.name], stamp_ns, data, stamp_ns)
+
+        if stamps_ns:
+            labels = replace(labels, robot_description="")
 
         bag.flush()  # for readers of a file that grows, and if this process is killed
 
     yield append
     bag.finish()  # writes the index
-
-
-def _register(bag: Any, name: str, kind: str) -> int:
-    """Announce a topic, with its type, in a bag that is written; return its number."""
-    definition, _ = standard_types().generate_msgdef(kind, ros_version=2)
-    schema = bag.register_schema(kind, "ros2msg", definition.encode())
-    return bag.register_channel(name, "cdr", schema)
 
 
 def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
@@ -352,7 +354,6 @@ def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
         raise LogError(
             "a bag needs a column t_s with a finite time stamp from zero on in every "
             f"row; there is {list(columns)}",
-            EQUAL_COLUMNS,
         )
 
     return stamps_ns

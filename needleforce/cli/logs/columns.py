@@ -1,23 +1,44 @@
 """Which columns of a log are which channels, and which joints it has."""
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from needleforce import recordings
-from needleforce.cli.options import Columns, RobotOptions
+from needleforce.cli.options import Columns, DepthColumns, RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.terminal import CommandError
-from needleforce.recordings import ChannelRequest, ColumnError, ColumnMapping
+from needleforce.cli.terminal import CHOOSE_TARE, CommandError
+from needleforce.recordings import (
+    ChannelRequest,
+    ColumnError,
+    ColumnMapping,
+    ColumnSpec,
+    Log,
+    UnitError,
+)
+from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import ChannelUnit
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
+from needleforce.session_replay import TareWindow
 from urdf import Robot
 
 
-def is_pipe(source: str) -> bool:
+def is_pipe(source: Sequence[str]) -> bool:
     """Return whether a recording can be read only once."""
-    return source == STANDARD_STREAM or Path(source).is_fifo()
+    return any(each == STANDARD_STREAM or Path(each).is_fifo() for each in source)
+
+
+def name_of(source: Sequence[str]) -> str:
+    """Return what a log is called in figures and on pages."""
+    if source[0] == STANDARD_STREAM:
+        return "standard input"
+    more = f" and {len(source) - 1} more" if len(source) > 1 else ""
+    return f"{Path(source[0]).name}{more}"
 
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
@@ -26,16 +47,79 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
     base = ColumnMapping(knowledge=knowledge)
     if columns.mapping:
         base = recordings.load_mapping(columns.mapping, knowledge)
-    channels = dict(base.channels)
-    rate_hz = base.rate_hz
-    if columns.rate is not None or columns.time is not None:
-        channels.pop("time", None)
-        rate_hz = columns.rate
+    channels: dict[str, ColumnSpec] = {}
     for name, channel in knowledge.channels.items():
         if (text := getattr(columns, name, None)) is not None:
             channels[name] = parse_column_spec(text, channel)
-    joints = getattr(columns, "joints", None) or base.joints
-    return replace(base, joints=joints, channels=channels, rate_hz=rate_hz)
+    options = ColumnMapping(
+        channels=channels,
+        rate_hz=columns.rate,
+        joints=getattr(columns, "joints", None) or (),
+        knowledge=knowledge,
+    )
+    return base.updated(options)
+
+
+def parse_window(option: str, text: str, first_s: float) -> TareWindow:
+    """Return the seconds of a log that an option names.
+
+    Args:
+        option: Its name, for messages.
+        text: Its value, START:END; a time with + counts from the first row, a missing
+            one is the log's.
+        first_s: Time of the log's first row [s].
+
+    Raises:
+        CommandError: The text names no window.
+    """
+    start, colon, end = (word.strip() for word in text.partition(":"))
+    words = (start or "+0", end or ("inf" if colon else ""))
+    try:
+        times_s = [first_s * word.startswith("+") + float(word) for word in words]
+    except ValueError as error:
+        advice = CHOOSE_TARE if option == "--tare" else ""
+        raise CommandError(f"{option} {text}: expected START:END", advice) from error
+    return TareWindow(*times_s)
+
+
+def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
+    """Return a log with the depth of a needle at constant speed since its first row.
+
+    Args:
+        log: Without a depth.
+        text: The speed, a number and its unit.
+        channel: That of speeds, with their units.
+
+    Raises:
+        CommandError: The text is no speed above zero.
+    """
+    match = re.fullmatch(r"\s*(\d*\.?\d+(?:e[-+]?\d+)?)\s*(\D.*)", text, re.IGNORECASE)
+    spelled = channel.units.find(match[2]) if match else None
+    speed_m_s = float(match[1]) * channel.units[spelled] if match and spelled else 0.0
+    if not 0.0 < speed_m_s <= channel.at_most:
+        raise CommandError(
+            f"--constant-speed {text}: expected a speed and its unit, one of "
+            f"{', '.join(channel.units)}, as in 2.3mm/s"
+        )
+    depth_m = speed_m_s * (log.t_s - log.t_s[0])
+    speeds_m_s = np.full(len(log), speed_m_s)
+    channels = {**log.channels, "depth_m": depth_m, "speed_m_s": speeds_m_s}
+    column = f"{text} since the first row"
+    unit = ChannelUnit("depth", (column,), ("m",), ("--constant-speed",))
+    return replace(log, channels=channels, units=(*log.units, unit))
+
+
+def needle_channels(columns: DepthColumns) -> tuple[str, ...]:
+    """Return the channels that `identify` cannot do without.
+
+    Raises:
+        CommandError: A depth is named beside the speed that stands for it.
+    """
+    if columns.constant_speed is None:
+        return ("depth", "force")
+    if columns.depth is not None:
+        raise CommandError("--constant-speed stands for a depth: leave --depth out")
+    return ("force",)
 
 
 def depth_channels(mapping: ColumnMapping) -> tuple[str, ...]:
@@ -50,17 +134,23 @@ def depth_channels(mapping: ColumnMapping) -> tuple[str, ...]:
     return ("speed", *(name for name in channels[1:] if name in mapping.channels))
 
 
-def has_channels(source: str, mapping: ColumnMapping, channels: Sequence[str]) -> bool:
+def has_channels(
+    source: Sequence[str],
+    mapping: ColumnMapping,
+    channels: Sequence[str],
+    others: Sequence[str],
+) -> bool:
     """Return whether a recording has columns for all of these channels.
 
     Args:
         source: The recording as the command line names it.
         mapping: Which columns are which channels.
         channels: Names of channels.
+        others: Names of channels that it may have in their place.
 
     Raises:
         CommandError: The recording is a pipe, which can be read only once.
-        ColumnError: It has columns for neither these channels nor depth and force.
+        ColumnError: It has columns for neither these channels nor the others.
     """
     if is_pipe(source):
         raise CommandError(
@@ -69,14 +159,16 @@ def has_channels(source: str, mapping: ColumnMapping, channels: Sequence[str]) -
     table = recordings.columns_of(source, mapping)
     try:
         return ChannelRequest(mapping, tuple(channels)).columns(table) is not None
-    except ColumnError:
-        if ChannelRequest(mapping, ("depth", "force")).columns(table) is None:
+    except (ColumnError, UnitError):
+        if ChannelRequest(mapping, tuple(others)).columns(table) is None:
             raise
         # `identify` asks for no joints, so it does not matter how many might fit.
         return False
 
 
-def joints_of_log(source: str, mapping: ColumnMapping) -> tuple[str | None, ...]:
+def joints_of_log(
+    source: Sequence[str], mapping: ColumnMapping
+) -> tuple[str | None, ...]:
     """Return the joints of a log by name: those of the mapping, else as it names them.
 
     Joints without a name are None. A pipe is not looked at: it has none.
@@ -100,7 +192,10 @@ def joints_of_log(source: str, mapping: ColumnMapping) -> tuple[str | None, ...]
 
 
 def robot_of_log(
-    source: str, mapping: ColumnMapping, options: RobotOptions, file: str | None
+    source: Sequence[str],
+    mapping: ColumnMapping,
+    options: RobotOptions,
+    file: str | None,
 ) -> Robot:
     """Return the robot of the options; the log may say which joints it has.
 

@@ -1,24 +1,27 @@
 """Forces of a log: from options to the sensor's replay, and what it says in words."""
 
 from collections import Counter
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from needleforce import recordings
 from needleforce.cli.logs import figures
-from needleforce.cli.logs.columns import mapping_from_options, robot_of_log
+from needleforce.cli.logs.columns import (
+    mapping_from_options,
+    name_of,
+    parse_window,
+    robot_of_log,
+)
 from needleforce.cli.logs.result import Result
 from needleforce.cli.options import JointColumns, RobotOptions, SensorOptions
 from needleforce.cli.robot import sensor_config, with_friction
 from needleforce.cli.terminal import CHOOSE_TARE, CommandError, progress_bar, warn
 from needleforce.depth_zero import FIRST_ROW
-from needleforce.recordings.table import STANDARD_STREAM
 from needleforce.session_replay import (
     STATUS_CODES,
     SensorReplay,
-    TareWindow,
     replay_sensor,
 )
 from residual import SensorWarning, Status, TareError
@@ -32,13 +35,11 @@ CAPTION = (
 )
 
 
-def name_of(source: str) -> str:
-    """Return what a log is called in figures and on pages."""
-    return "standard input" if source == STANDARD_STREAM else Path(source).name
-
-
 def run_forces(
-    source: str, robot: RobotOptions, sensor: SensorOptions, columns: JointColumns
+    source: Sequence[str],
+    robot: RobotOptions,
+    sensor: SensorOptions,
+    columns: JointColumns,
 ) -> SensorReplay:
     """Estimate the forces of a log; what is wrong with it is said on stderr.
 
@@ -59,12 +60,13 @@ def run_forces(
         mapping,
         required=("q", sensor.torque_channel),
         optional=("dq",),
+        named=("force",),
         joints=model.joint_names,
     )
     warn(log.warnings)
     window = None
     if sensor.tare is not None:
-        window = parse_tare_window(sensor.tare, float(log.t_s[0]))
+        window = parse_window("--tare", sensor.tare, float(log.t_s[0]))
     try:
         with progress_bar(name_of(source)) as progress:
             replay = replay_sensor(
@@ -81,28 +83,6 @@ def run_forces(
         raise CommandError(str(error), advice) from error
     warn(find_doubts(replay))
     return replay
-
-
-def parse_tare_window(text: str, first_s: float) -> TareWindow:
-    """Return the window that ``--tare`` names.
-
-    Args:
-        text: Value of the option, START:END; a time with + counts from the first row.
-        first_s: Time of the log's first row [s].
-
-    Raises:
-        CommandError: The text names no window.
-    """
-    start, _, end = (word.strip() for word in text.partition(":"))
-    try:
-        times_s = [
-            first_s * word.startswith("+") + float(word)
-            for word in (start or "+0", end)
-        ]
-    except ValueError as error:
-        reason = f"--tare {text}: expected START:END"
-        raise CommandError(reason, CHOOSE_TARE) from error
-    return TareWindow(*times_s)
 
 
 def add_forces(result: Result, replay: SensorReplay) -> None:
@@ -144,6 +124,7 @@ def describe_forces(replay: SensorReplay) -> dict[str, str]:
         "tare": _describe_tare(replay),
         "torque": _describe_torques(replay),
         "axial force": _describe_axial_force(replay),
+        "force sensor": _compare_with_sensor(replay),
         "travel": f"counts {FIRST_ROW}; identify and report count below first contact",
         "lag": lag,
     }
@@ -270,3 +251,25 @@ def _describe_axial_force(replay: SensorReplay) -> str:
                 f"standard deviation {chosen['axial_std_N'].mean():.3f} N (mean){note}"
             )
     return "none: no sample was valid after the filters had settled"
+
+
+def _compare_with_sensor(replay: SensorReplay) -> str:
+    """Return how far the axial force is from that of the log's sensor, if it has one.
+
+    The sensor's zero is its mean over the tare; the lag of the axial force counts as
+    difference.
+    """
+    log = replay.log
+    if "force_N" not in log or replay.window is None:
+        return ""
+    is_tare = (log.t_s >= replay.window.start_s) & (log.t_s <= replay.window.end_s)
+    zero_N = float(np.nanmean(log["force_N"][is_tare]))
+    differences_N = replay.rows["axial_N"].to_numpy() - (log["force_N"] - zero_N)
+    is_ok = (replay.rows["force_status"] == STATUS_CODES[Status.OK]).to_numpy()
+    compared_N = differences_N[is_ok & ~is_tare & np.isfinite(differences_N)]
+    if not compared_N.size:
+        return "not compared: it has no value beside a valid axial force"
+    rms_N = float(np.sqrt(np.mean(compared_N**2)))
+    return (
+        f"{rms_N:.2g} N rms from the axial force after the tare, whose mean is its zero"
+    )

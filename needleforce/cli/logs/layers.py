@@ -2,12 +2,13 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
 
 import numpy as np
 import pandas as pd
+from scipy.ndimage import median_filter
 
 from foundation.arrays import Array
 from identification import (
@@ -20,6 +21,7 @@ from identification import (
     TissueWarning,
     replay,
 )
+from needleforce.cli.logs.columns import parse_window
 from needleforce.cli.logs.figures import draw_layers
 from needleforce.cli.logs.result import Result
 from needleforce.cli.options import IdentificationOptions
@@ -110,6 +112,8 @@ def identify_layers(
     Raises:
         CommandError: No row could be used, or rows lie too far apart in time.
     """
+    if options.between is not None:
+        log = _rows_between(log, options.between)
     ignored: dict[str, int] = {}
     force_N = log["force_N"]
     if not options.ignore_status:
@@ -140,10 +144,61 @@ def identify_layers(
         log=log,
         rows=table.assign(depth_m=log["depth_m"], force_N=force_N),
         layers=found.layers,
-        warnings=(*counted, *(hint.text for hint in found.hints)),
+        warnings=(
+            *counted,
+            *(hint.text for hint in found.hints),
+            *_describe_later_insertions(log, contact_m),
+        ),
         zero=zero,
         method=options.method,
     )
+
+
+def _rows_between(log: Log, text: str) -> Log:
+    """Return the rows of a log that ``--between`` names; `CommandError` without any."""
+    window = parse_window("--between", text, float(log.t_s[0]))
+    rows = (log.t_s >= window.start_s) & (log.t_s <= window.end_s)
+    if not rows.any():
+        raise CommandError(
+            f"--between {text}: expected seconds of the log, which runs from "
+            f"{log.t_s[0]:.12g} to {log.t_s[-1]:.12g} s"
+        )
+    channels = {name: values[rows] for name, values in log.channels.items()}
+    return replace(log, t_s=log.t_s[rows], channels=channels)
+
+
+def _describe_later_insertions(log: Log, contact_m: float) -> list[str]:
+    """Return when the needle entered again after it had left the tissue.
+
+    Layers are those of one insertion: what a needle has cut does not rupture again.
+
+    Args:
+        log: Of depth and force.
+        contact_m: Depth of the first contact [m]; NaN without one.
+    """
+    out_m = 2e-3  # above the contact: the surface follows a needle that is drawn back
+    in_m = 5e-3  # below it: deeper than a surface is dented
+    held_s = 0.5  # a depth that jumps for a moment is no way of the needle
+    known = np.isfinite(log["depth_m"])
+    t_s = log.t_s[known]
+    if len(t_s) < 2 or not np.isfinite(contact_m):
+        return []
+    held_rows = max(1, round(held_s / float(np.median(np.diff(t_s)))))
+    below_m = median_filter(log["depth_m"][known] - contact_m, held_rows)
+    is_sure = (below_m < -out_m) | (below_m > in_m)
+    is_in = below_m[is_sure] > 0.0
+    sure_s = t_s[is_sure]
+    entries = np.flatnonzero(~is_in[:-1] & is_in[1:]) + 1
+    exits = np.flatnonzero(is_in[:-1] & ~is_in[1:]) + 1
+    notes: list[str] = []
+    for entry in entries.tolist():
+        if (exits < entry).any():
+            start_s = sure_s[exits[exits < entry].max()]
+            notes.append(
+                f"the needle enters again at {sure_s[entry]:.6g} s, and layers are "
+                f"of the first insertion; --between {start_s:.12g}: reads the later one"
+            )
+    return notes
 
 
 def usable_force(log: Log) -> tuple[Array, dict[str, int]]:

@@ -1,6 +1,6 @@
 """`force`, `check`, `identify`, `report`: from options and a log to its result."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,8 @@ import pandas as pd
 from needleforce import plots, recordings
 from needleforce.cli.logs import columns as log_columns
 from needleforce.cli.logs import figures, layers
-from needleforce.cli.logs.forces import add_forces, find_doubts, name_of, run_forces
+from needleforce.cli.logs.columns import name_of
+from needleforce.cli.logs.forces import add_forces, find_doubts, run_forces
 from needleforce.cli.logs.result import Draw, Result, save
 from needleforce.cli.options import (
     AllColumns,
@@ -37,7 +38,7 @@ DOUBTFUL = 1
 
 
 def force(
-    source: str,
+    source: Sequence[str],
     output: Output,
     robot: RobotOptions,
     sensor: SensorOptions,
@@ -75,7 +76,7 @@ def force(
 
 
 def check(
-    source: str,
+    source: Sequence[str],
     robot: RobotOptions,
     sensor: SensorOptions,
     columns: JointColumns,
@@ -103,7 +104,7 @@ def check(
 
 
 def identify(
-    source: str,
+    source: Sequence[str],
     output: Output,
     options: IdentificationOptions,
     columns: DepthColumns,
@@ -134,16 +135,19 @@ def identify(
 
 
 def run_layers(
-    source: str, columns: DepthColumns, options: IdentificationOptions
+    source: Sequence[str], columns: DepthColumns, options: IdentificationOptions
 ) -> layers.LayerReplay:
     """Identify the layers of a log; what is wrong with it is said on stderr."""
     mapping = log_columns.mapping_from_options(columns)
     log = recordings.read_log(
         source,
         mapping,
-        required=("depth", "force"),
+        required=log_columns.needle_channels(columns),
         optional=log_columns.depth_channels(mapping),
     )
+    if columns.constant_speed is not None:
+        speed = mapping.knowledge.channels["speed"]
+        log = log_columns.at_constant_speed(log, columns.constant_speed, speed)
     warn(log.warnings)
     with progress_bar(name_of(source)) as progress:
         found = layers.identify_layers(log, options, progress)
@@ -152,7 +156,7 @@ def run_layers(
 
 
 def report(
-    source: str,
+    source: Sequence[str],
     folder: Path,
     robot: RobotOptions,
     sensor: SensorOptions,
@@ -167,15 +171,18 @@ def report(
     """
     mapping = log_columns.mapping_from_options(columns)
     joint_channels = ("q", sensor.torque_channel)
-    has_joints = log_columns.has_channels(source, mapping, joint_channels)
+    needle_channels = log_columns.needle_channels(columns)
+    has_joints = log_columns.has_channels(
+        source, mapping, joint_channels, needle_channels
+    )
     loaded = None
     if plan is not None:
         from needleforce.cli.session_parts import load_plan
 
         if not has_joints:
             raise CommandError(
-                f"--plan {plan}: {source} has no joint positions and torques, so that "
-                "it is not known where its needle was; give the log of the arm"
+                f"--plan {plan}: {name_of(source)} has no joint positions and torques, "
+                "so that it is not known where its needle was; give the log of the arm"
             )
         loaded = load_plan(plan, is_past=True)
     result = Result(log=name_of(source), title="Forces" if has_joints else "Layers")
@@ -239,7 +246,7 @@ def write_outputs(
         save(draw, output.figure)
 
 
-def check_outputs(source: str, output: Output) -> None:
+def check_outputs(source: Sequence[str], output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done.
 
     Raises:
@@ -257,8 +264,8 @@ def check_outputs(source: str, output: Output) -> None:
     _refuse_harm(source, paths)
 
 
-def _refuse_harm(source: str, paths: Mapping[str, Path]) -> None:
+def _refuse_harm(source: Sequence[str], paths: Mapping[str, Path]) -> None:
     """Refuse to write two things to one place, or over the log."""
     # Standard input may be a file, too: `< log.csv`.
-    place = "/dev/stdin" if source == STANDARD_STREAM else source
-    output_files.check_outputs(paths, Path(place))
+    places = ["/dev/stdin" if each == STANDARD_STREAM else each for each in source]
+    output_files.check_outputs(paths, map(Path, places))

@@ -55,11 +55,11 @@ def view_recording(
         if export.suffix.lower() != ".html":
             raise CommandError(f"--export {export}: its name must end in .html")
         output.require_place(export)
-        output.check_outputs({"--export": export}, recording)
+        output.check_outputs({"--export": export}, [recording])
     mapping = recordings.ColumnMapping()
     if mapping_file:
         mapping = recordings.load_mapping(mapping_file)
-    model = robot_of_log(str(recording), mapping, robot, mapping_file)
+    model = robot_of_log([str(recording)], mapping, robot, mapping_file)
     plan = load_plan(anatomy, is_past=True)
     log = recordings.read_log(
         recording,

@@ -41,6 +41,7 @@ FILES = {
     "sub/map.toml": 'payload = "heavy.toml"',
     "depth.csv": "t_s,depth_m,force_N\n0,0,0\n1,0.001,1\n",
     "no_plan.json": "{",
+    "log.wav": "RIFF",
 }
 
 LOGS = {

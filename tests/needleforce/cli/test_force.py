@@ -219,6 +219,49 @@ def test_figure_is_written_for_every_mode(
     assert len(content) > 5_000
 
 
+@pytest.fixture
+def folder(lwr, tmp_path):
+    """A folder with one file for each signal, without headers, and a force sensor."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    columns = insertion(lwr)
+    t_s = columns["t_s"]
+    axial_N = np.where(t_s > CONTACT_S, AXIAL_N, 0.0)
+    sensor_N = np.column_stack([0.0 * t_s, 0.0 * t_s, 0.7 - axial_N])
+    signals = {
+        "Joint_Positions": (t_s, columns["q_rad"]),
+        "Joint_Torques": (t_s + 0.0002, columns["tau_Nm"]),
+        "Force_Sensor": (t_s[:-3] + 0.0004, sensor_N[:-3]),
+    }
+    for name, (stamps_s, values) in signals.items():
+        rows = np.column_stack([stamps_s, values])
+        np.savetxt(folder / f"gel_1_{name}.dat", rows, delimiter=",")
+    return folder
+
+
+@pytest.mark.parametrize("form", ["folder", "files"])
+def test_the_force_sensor_of_a_folder_is_compared(folder, capsys, form):
+    files = [str(path) for path in sorted(folder.iterdir())]
+    assert main(["force", *(files if form == "files" else [str(folder)]), *TARE]) == 0
+    printed = capsys.readouterr().out
+    rms_N = float(re.search(r"force sensor +(\S+) N", printed)[1])
+
+    assert rms_N < 0.1 * AXIAL_N
+    assert "Force_Sensor[2]" in printed
+
+
+def test_a_named_force_is_compared_in_its_unit(lwr, run):
+    columns = insertion(lwr)
+    axial_N = np.where(columns["t_s"] > CONTACT_S, AXIAL_N, 0.0)
+    _, summary, _ = run(columns | {"cell": -1e3 * axial_N}, *TARE)
+    assert "force sensor" not in summary
+    _, summary, _ = run(
+        columns | {"cell": 250.0 - 1e3 * axial_N}, *TARE, "--force", "cell:mN:-1"
+    )
+
+    assert float(summary["force sensor"[:11]].split()[0]) < 0.1 * AXIAL_N
+
+
 def check(tmp_path, capsys, columns, *options):
     """Exit code of `check`, and what it prints as JSON."""
     log = str(tmp_path / "log.npz")

@@ -104,6 +104,64 @@ def test_wrong_signs_and_units_are_a_warning(needle, identify, name, factor, wor
     assert word in said
 
 
+def test_an_offset_of_the_sensor_has_no_sign(needle, identify):
+    _, (layer,), said = identify(force_N=needle["force_N"] - 49.0)
+
+    assert "negative" not in said
+    assert float(layer["drop N"].split("±")[0]) > 0.0
+
+
+@pytest.mark.parametrize("speed", ["12mm/s", "0.72 m/min"])
+def test_a_constant_speed_stands_for_a_depth(tmp_path, capsys, speed):
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
+    rows = slice(
+        *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 2))
+    )
+    log = str(tmp_path / "log.csv")
+    write_table(log, {"t_s": run.t_s[rows], "force_N": run.force_N[rows]})
+    assert main(["identify", log, "--constant-speed", speed]) == 0
+
+    assert "1 rupture detected" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ("--constant-speed 12", "mm/s"),
+        ("--constant-speed 0mm/s", "0mm/s"),
+        ("--constant-speed 2kg", "2kg"),
+        ("--constant-speed 2mm/s --depth depth_m", "--depth"),
+        ("--between 4", "START:END"),
+        ("--between +900:", "+900:"),
+    ],
+)
+def test_a_speed_or_a_time_that_is_none_is_refused(
+    needle, tmp_path, capsys, options, word
+):
+    log = str(tmp_path / "log.csv")
+    write_table(log, needle)
+
+    assert word in refusal(["identify", log, *options.split()], capsys)
+
+
+def test_of_two_insertions_the_second_is_named_and_chosen(needle, identify):
+    depth_m = needle["depth_m"]
+    back_m = np.linspace(depth_m[-1], depth_m[0], 500)
+    twice = {
+        "depth_m": np.concatenate([depth_m, back_m, depth_m]),
+        "force_N": np.concatenate([needle["force_N"], 0 * back_m, needle["force_N"]]),
+        "speed_m_s": (),
+    }
+    twice["t_s"] = needle["t_s"][0] + 0.004 * np.arange(len(twice["depth_m"]))
+    _, (first,), said = identify(**twice)
+    start = re.search(r"--between (\S+):", said)[1]
+    _, (second,), said = identify("--between", f"{start}:", **twice)
+
+    assert "--between" not in said
+    later_s = float(second["rupture s"]) - float(first["rupture s"])
+    assert later_s == pytest.approx(0.004 * (len(depth_m) + 500), abs=0.1)
+
+
 def test_the_unit_of_a_force_is_named_or_refused(needle, tmp_path, capsys):
     log = tmp_path / "log.csv"
     columns = {name: needle[name] for name in ("t_s", "depth_m")}

@@ -97,16 +97,27 @@ def test_the_topic_of_the_robots_joints_is_read_or_the_mapped_one(tmp_path):
             read_log(folder, required=["q", "tau"], joints=joints)
 
 
-def test_a_bag_compressed_as_a_file_is_unpacked(tmp_path):
+def test_a_bag_compressed_as_a_file_is_unpacked(tmp_path, monkeypatch):
     rows = list(insertion_rows(40))
     plain = read_log(write_bag(tmp_path / "plain", rows, storage="sqlite3"))
     packed = tmp_path / "packed"
     write_bag(packed, rows, storage="sqlite3", compression="FILE")
     log = read_log(packed)
 
-    assert [each.name for each in packed.glob("*.zstd")] == ["packed.db3.zstd"]
-    for name, values in plain.channels.items():
-        np.testing.assert_array_equal(log[name], values)
+    file = packed / "packed.db3.zstd"
+    for read in (log, read_log(file)):
+        for name, values in plain.channels.items():
+            np.testing.assert_array_equal(read[name], values)
+
+    monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", 1 << 12)
+    with pytest.raises(FormatError, match="limit"):
+        read_log(packed)
+
+
+def test_efforts_that_no_message_holds_are_named(tmp_path):
+    states = [("/j", k, joint_state(k, "ab", [k, k], [1, 1])) for k in range(1, 9)]
+    with pytest.raises(ColumnError, match=r"/j/effort \(empty\)"):
+        read_log(write_bag(tmp_path / "bag", states), required=["q", "tau"])
 
 
 def test_a_topic_is_read_by_its_own_definition(tmp_path):

@@ -77,6 +77,11 @@ def test_a_log_holds_copies_that_nobody_changes():
         *(("°/s", "dq", np.pi / 180), ("rev/min", "dq", 2 * np.pi / 60)),
         *(("deg/sec", "dq", np.pi / 180), ("N-mm", "tau", 1e-3), ("N·m", "tau", 1.0)),
         *(("in-lbf", "tau", 0.1129848290), ("lbf·in", "tau", 0.1129848290)),
+        *(
+            ("cN·m", "tau", 1e-2),
+            ("kgf·cm", "tau", 0.0980665),
+            ("kgf*m", "tau", 9.80665),
+        ),
         *(("sec", "time", 1.0), ("min", "time", 60.0), ("mm/min", "speed", 1e-3 / 60)),
         *(("mm_per_s", "speed", 1e-3), ("inch/min", "speed", 0.0254 / 60)),
         *(("%", "force", None), ("MN", "force", None), ("n", "force", None)),
@@ -138,6 +143,18 @@ def test_usual_names_match_any_case_path_and_unit(channel):
         ("q", ["A2 pos [rad]", "A1 pos [rad]"]),
         ("q", ["state.q[1]", "state.q[0]"]),
         ("q", ["MeasuredJointPosition2", "MeasuredJointPosition1"]),
+        ("q", ["position.a2", "position.a1"]),
+        (
+            "q",
+            [
+                "/iiwa/state/JointPosition/position/a2",
+                "/iiwa/state/JointPosition/position/a1",
+            ],
+        ),
+        ("tau", ["field.torque.a2", "field.torque.a1"]),
+        ("tau", ["effort_J2", "effort_J1"]),
+        ("tau", ["torque joint 2", "torque joint 1"]),
+        ("tau", ["/dsr01/raw_joint_torque.1", "/dsr01/raw_joint_torque.0"]),
         ("dq", ["actual_qd_0"]),
         ("depth", ["depth_m_04"]),
         ("depth", ["Crosshead"]),
@@ -164,6 +181,7 @@ def test_columns_are_found_by_their_names_in_the_order_of_joints(channel, names)
         ("q", ["q1", "q2", "/other/q1", "/other/q2"], "/other/q#"),
         ("q", ["q1", "q2", "q4"], "not 3"),
         ("tau", ["moment"], "moment"),
+        ("tau", ["actual_joint_torque_0", "actual_joint_torque_1"], "actual_joint"),
         ("force", ["Position (mm)"], "Position"),
     ],
 )
@@ -224,7 +242,7 @@ def test_patterns_that_fit_nothing_or_not_only_one_are_refused(pattern):
         (mapped(force="pair"), (), ColumnError, "pair"),
         (mapped(q=("a", "short")), (), LogError, "short"),
         (mapped(depth="short"), (), LogError, "short"),
-        (mapped(q="pair", tau="a"), (), LogError, "tau_Nm"),
+        (mapped(q="pair", tau="a"), (), LogError, "tau"),
         (mapped(depth="empty"), ("depth",), LogError, "depth_m"),
         (
             mapped(q=ColumnSpec(columns="pair", scale=(1.0, 2.0, 3.0))),
@@ -522,6 +540,16 @@ def test_columns_named_after_joints_are_found(form):
 
     np.testing.assert_allclose(log["q_rad"], q_rad)
     np.testing.assert_allclose(log["tau_Nm"], 2.0 * q_rad)
+
+
+def test_the_joints_that_are_wanted_are_named_where_columns_have_others():
+    columns = {f"/js/{j}/{q}": ONES for j in "ab" for q in ("position", "effort")}
+    with pytest.raises(ColumnError, match="panda_joint1, panda_joint2"):
+        log_of(None, ("q", "tau"), joints=PANDA[:2], **columns)
+    mapping = ColumnMapping(joints=("b", "a"))
+    log = log_of(mapping, ("q", "tau"), joints=PANDA[:2], **columns)
+
+    assert log.units[1].columns == ("/js/b/position", "/js/a/position")
 
 
 def test_a_suggested_mapping_reads_the_log_and_names_stay_comments(tmp_path):

@@ -103,6 +103,12 @@ def write_matlab_7_3(path, arrays):
             file[f"run/{name}"] = np.atleast_2d(values.T)
 
 
+def write_matlab_7_3_rows(path, arrays):
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            file[f"run/{name}"] = values.T if values.ndim == 2 else values[:, None]
+
+
 def write_matlab(path, arrays):
     columns = {n: v[:, None] if v.ndim == 1 else v for n, v in arrays.items()}
     savemat(path, {"run": columns})
@@ -113,6 +119,7 @@ def write_matlab(path, arrays):
     [
         ("h5", write_hdf5),
         ("mat", write_matlab_7_3),
+        ("mat", write_matlab_7_3_rows),
         ("mat", write_matlab),
     ],
 )
@@ -131,24 +138,26 @@ def test_arrays_in_groups_are_columns(tmp_path, suffix, write):
         read_log(path)
 
 
-def test_channels_of_tdms_have_their_units_and_clocks(tmp_path):
+@pytest.mark.parametrize(("first_ms", "later_ms"), [(0, 0), (1_700_000_000_000, 100)])
+def test_channels_of_tdms_have_their_units_and_clocks(tmp_path, first_ms, later_ms):
     nptdms = pytest.importorskip("nptdms")
-    clock = {"wf_increment": 0.02, "wf_start_offset": 0.0}
+    clock = {"wf_start_time": np.datetime64(first_ms, "ms"), "wf_increment": 0.02}
+    late = {**clock, "wf_start_time": np.datetime64(first_ms + later_ms, "ms")}
     channels = [
-        nptdms.ChannelObject("Data", name, values, {**clock, "unit_string": unit})
-        for name, values, unit in (
-            ("Position", np.arange(9.0), "mm"),
-            ("Force", np.arange(9.0), "kN"),
-        )
+        nptdms.ChannelObject("Stage", "Position", np.arange(30.0), clock),
+        nptdms.ChannelObject("Cell", "Force", np.arange(20.0), late),
     ]
+    for channel, unit in zip(channels, ("mm", "kN"), strict=True):
+        channel.properties["unit_string"] = unit
     path = tmp_path / "log.tdms"
     with nptdms.TdmsWriter(path) as writer:
         writer.write_segment(channels)
     log = read_log(path, required=["depth", "force"])
 
-    np.testing.assert_allclose(log.t_s, 0.02 * np.arange(9))
-    np.testing.assert_allclose(log["depth_m"], 1e-3 * np.arange(9))
-    np.testing.assert_allclose(log["force_N"], 1e3 * np.arange(9))
+    np.testing.assert_allclose(log.t_s, 0.02 * np.arange(20), atol=1e-9)
+    shift = later_ms / 20.0
+    np.testing.assert_allclose(log["depth_m"], 1e-3 * (np.arange(20) + shift))
+    np.testing.assert_allclose(log["force_N"], 1e3 * np.arange(20))
 
 
 def test_of_several_demonstrations_one_has_to_be_named(tmp_path):
@@ -165,13 +174,24 @@ def test_of_several_demonstrations_one_has_to_be_named(tmp_path):
     np.testing.assert_array_equal(read_log(path, one, required=["q"])["q_rad"], q_rad)
 
 
-def test_what_stands_for_no_value_is_none(tmp_path):
+@pytest.mark.parametrize(
+    ("values", "known"),
+    [
+        ([1.0, -999.0, 3.0, -999.0], [True, False, True, False]),
+        ([-9999.0, 2.0, 2.0, 2.0], [False, True, True, True]),
+        ([1.0, -999.0, -9999.0, -99.9], [True, False, False, True]),
+        ([120.0, -999.0, -640.0, -80.0], [True] * 4),  # as in mN
+        ([-998.0, -999.0, -1000.0, -998.5], [True] * 4),
+    ],
+)
+def test_a_number_far_from_all_else_stands_for_no_value(tmp_path, values, known):
     path = tmp_path / "log.csv"
-    path.write_text("t_s,depth_mm,force_N\n0,1,2\n1,-999,2\n2,3,-9999.0\n3,4,-99.9\n")
-    log = read_log(path)
+    write_table(path, {"t_s": np.arange(4.0) / 10, "force_mN": values})
+    log = read_log(path, required=["force"])
 
-    np.testing.assert_array_equal(log["depth_m"], [0.001, np.nan, 0.003, 0.004])
-    np.testing.assert_array_equal(log["force_N"], [2.0, 2.0, np.nan, -99.9])
+    expected = np.where(known, np.array(values) / 1e3, np.nan)
+    np.testing.assert_allclose(log["force_N"], expected)
+    assert any("-999" in text for text in log.warnings) is not all(known)
 
 
 @pytest.mark.parametrize(("unit", "name"), [("ns", "time"), ("ms", "time_ms")])

@@ -8,9 +8,11 @@ from needleforce.recordings import (
     ChannelRequest,
     ColumnMapping,
     ColumnSpec,
+    FormatError,
     LogError,
     MappingError,
     Table,
+    UnitError,
     parse_column_spec,
     read_log,
     write_table,
@@ -62,8 +64,8 @@ def test_rows_are_in_the_order_of_time_and_odd_ones_are_reported(
 
 
 SET_BACK_S = np.concatenate((T_S[:300], T_S[:100]))
-ROUNDED_S = np.floor(T_S / 0.1) * 0.1
-BURSTS_S = np.floor(T_S / 0.08) * 0.08 + 0.0001 * (np.arange(ROWS) % 8)
+ROUNDED_S = 0.1 * (np.arange(ROWS) // 10)
+BURSTS_S = 0.08 * (np.arange(ROWS) // 8) + 0.0001 * (np.arange(ROWS) % 8)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +84,17 @@ def test_stamps_that_do_not_tell_the_time_of_a_sample_are_refused(tmp_path, t_s,
         read(tmp_path, t_s)
 
 
+@pytest.mark.parametrize("t_s", [ROUNDED_S, BURSTS_S], ids=["rounded", "bursts"])
+def test_the_rate_that_serves_in_place_of_stamps_is_named(tmp_path, t_s):
+    with pytest.raises(LogError) as refused:
+        read(tmp_path, t_s)
+    assert "--rate 100," in refused.value.advice
+    log = read(tmp_path, t_s, rate_hz=100.0)
+
+    np.testing.assert_allclose(log.t_s, T_S)
+    np.testing.assert_array_equal(log["force_N"], FORCE_N)
+
+
 def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
     held = np.repeat(np.arange(ROWS // 4), 4)
     log = read(tmp_path, 0.04 * held, FORCE_N[held])
@@ -97,6 +110,8 @@ def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
         ("secs", "nsecs", 1e9, None),
         ("sec", "nanosec", 1e9, None),
         ("header.stamp.secs", "header.stamp.nsecs", 1e9, None),
+        ("/cell/header/stamp/sec", "/cell/header/stamp/nanosec", 1e9, None),
+        ("header_stamp_sec", "header_stamp_nanosec", 1e9, None),
         ("t.sec", "t.usec", 1e6, "t.sec:s+t.usec:us"),
         ("a", "b", 1e3, "a:s+b:ms"),
     ],
@@ -179,9 +194,67 @@ def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
     np.testing.assert_allclose(-log["force_N"][inner], shifted_s[inner], atol=1e-9)
     assert np.isnan(log["force_N"][-9:]).all()
 
-    (folder / "gel_7_Joint_Torques.dat").write_text("0,1,2\n0,1,2\n0,1,2\n")
-    with pytest.raises(LogError):
-        read_log(folder, required=["q", "tau"])
+    paths = sorted(folder.iterdir())
+    same = read_log(paths, required=["q", "tau"], optional=["force"])
+    for name, values in log.channels.items():
+        np.testing.assert_array_equal(same[name], values)
+    named = read_log(paths, required=["q", "tau"], named=["force", "depth"])
+    assert "force_N" in named
+    assert "force_N" not in read_log(paths[1:], required=["q", "tau"], named=["force"])
+
+
+@pytest.mark.parametrize(
+    "t_s",
+    [BURSTS_S, SET_BACK_S, ROUNDED_S, np.zeros(ROWS), 1e9 * T_S],
+    ids=["bursts", "clock set back", "rounded", "never advances", "nanoseconds"],
+)
+def test_the_stamps_of_every_file_are_judged(tmp_path, t_s):
+    files = {"force.dat": T_S[: len(t_s)], "depth.dat": t_s}
+    for name, stamps in files.items():
+        rows = np.column_stack([stamps, np.sin(np.arange(len(stamps)))])
+        np.savetxt(tmp_path / name, rows, delimiter=";")
+    with pytest.raises((LogError, UnitError), match=r"depth\.dat"):
+        read_log(tmp_path, required=["depth", "force"])
+
+
+def test_stamps_of_files_without_a_header_have_the_unit_of_the_mapping(tmp_path):
+    for name in ("force", "depth"):
+        rows = np.column_stack([1e3 * T_S, 0.1 * FORCE_N])
+        np.savetxt(tmp_path / f"{name}.txt", rows)
+    spec = parse_column_spec("column_1:ms", CHANNELS["time"])
+    log = read_log(tmp_path, mapped(time=spec), required=["depth", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S, atol=1e-9)
+    np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
+
+
+def test_a_row_number_is_no_time_stamp(tmp_path):
+    for name in ("force_N", "depth_mm"):
+        rows = [f"{k},{t_s},{t_s / 10}" for k, t_s in enumerate(T_S)]
+        path = tmp_path / f"{name[:5]}.csv"
+        path.write_text("\n".join([f",time,{name}", *rows]))
+    log = read_log(tmp_path, required=["depth", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S)
+    np.testing.assert_allclose(log["force_N"], T_S / 10)
+
+
+def test_files_that_are_called_alike_are_refused(tmp_path):
+    paths = [tmp_path / name for name in ("force.dat", "force.csv")]
+    for path in paths:
+        np.savetxt(path, np.column_stack([T_S, FORCE_N]), delimiter=",")
+    with pytest.raises(FormatError, match="force"):
+        read_log(paths)
+
+
+def test_a_bag_beside_a_file_is_one_log(tmp_path):
+    write_table(tmp_path / "arm.mcap", {"t_s": T_S, "q_rad": np.stack([T_S, T_S], 1)})
+    write_table(tmp_path / "cell.csv", {"t_s": T_S + 0.001, "force_N": FORCE_N})
+    paths = [tmp_path / "arm.mcap", tmp_path / "cell.csv"]
+    log = read_log(paths, required=["q", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S + 0.001, atol=1e-9)
+    np.testing.assert_allclose(log["q_rad"][:-1, 1], log.t_s[:-1], atol=1e-9)
 
 
 def test_files_with_headers_in_a_folder_need_no_layout(tmp_path):

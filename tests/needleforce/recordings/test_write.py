@@ -270,7 +270,7 @@ def test_outputs_never_replace_each_other_or_the_log(tmp_path, outputs, source):
     paths = {f"--{k}": tmp_path / name for k, name in enumerate(outputs)}
 
     with pytest.raises(FileAccessError, match="--0"):
-        check_outputs(paths, tmp_path / source)
+        check_outputs(paths, [tmp_path / source])
     check_outputs(
-        {"-o": tmp_path / "new.csv", "-p": tmp_path / "n.csv"}, tmp_path / source
+        {"-o": tmp_path / "new.csv", "-p": tmp_path / "n.csv"}, [tmp_path / source]
     )
