@@ -12,6 +12,7 @@ from benchmarks.insertion.signals import JointSignals, measured_travel
 from identification import MixtureConfig, SampleStatus
 from identification.config import CheckConfig
 from needleforce import InsertionError, InsertionSession
+from needleforce.insertion_events import session_events
 from residual import DEFAULT, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 from tests.insertion_run import (
@@ -205,6 +206,19 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
         *(True, False, True),
     ]
     assert passed_s == pytest.approx(rows[51][3])
+
+
+def test_an_angle_that_steps_by_a_turn_is_an_event():
+    session, rows = resumed_after(TARE, 60)
+    turn_rad = 2.0 * np.pi * np.eye(7)[2]
+    steps = [q + turn_rad * (k >= 50) for k, (q, *_) in enumerate(rows)]
+    found = updated(
+        session, [(q, *row[1:]) for q, row in zip(steps, rows, strict=True)]
+    )
+    events = {k: [one.kind for one in session_events(e)] for k, e in enumerate(found)}
+
+    assert {k: kinds for k, kinds in events.items() if kinds} == {50: ["turn"]}
+    assert found[-1].used_for_identification
 
 
 @pytest.mark.slow
