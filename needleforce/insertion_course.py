@@ -11,7 +11,6 @@ from foundation.arrays import Array, Vector
 from foundation.jit import compiled
 from foundation.linear_algebra import dot
 from identification import LayerEstimate
-from identification import Snapshot as IdentifierSnapshot
 from identification.channel import (
     continue_channel,
     count_depth_from,
@@ -248,9 +247,7 @@ class InsertionCourse:
 
     def state(self) -> CourseState:
         """Return what `restore` continues from; the plan has a state of its own."""
-        return CourseState(
-            self.zero, self.travel, self.time_s, self.insertion, self.channels
-        )
+        return CourseState(*(getattr(self, name) for name in CourseState._fields))
 
     def restore(self, state: CourseState, *, is_started: bool) -> None:
         """Continue from a state.
@@ -260,10 +257,7 @@ class InsertionCourse:
             is_started: Whether a valid sample had come.
         """
         self._count_depth_from(state.zero)
-        self.travel = state.travel
-        self.time_s = state.time_s
-        self.insertion = state.insertion
-        self.channels = state.channels
+        vars(self).update(state._asdict())
         self._is_started = is_started
 
     @property
@@ -337,8 +331,7 @@ class InsertionCourse:
             speed_lag_s=self._speed_lag_s,
             force_lag_s=force_lag_s,
         )
-        if self.plan.has_path:
-            self.plan.compare_with(self._tool)
+        self.plan.compare_with(self._tool)
 
     def judge_speed(self, force_lag_s: float, dt_s: float) -> None:
         """Note for the whole insertion if the needle outruns the force in tissue.
@@ -466,9 +459,6 @@ class InsertionCourse:
         self.zero = zero
         self.travel = TipTravel()
 
-    def _snapshot(self) -> IdentifierSnapshot:
-        return self._identifier.identifier.snapshot()
-
     @property
     def _length_to_remember_m(self) -> float:
         """Length of the channel that this insertion has cut; 0 if it has cut none."""
@@ -477,7 +467,8 @@ class InsertionCourse:
             return 0.0
         length_m = self.insertion.deepest_m - contact_m
         is_long = length_m >= MIN_LENGTH_M
-        return length_m if is_long and has_cut(self._snapshot()) else 0.0
+        known = self._identifier.identifier.snapshot()
+        return length_m if is_long and has_cut(known) else 0.0
 
     def remember_channel(self) -> None:
         """Remember the channel that this insertion has cut, if it has cut one."""
@@ -492,7 +483,7 @@ class InsertionCourse:
             length_m=length_m,
             entry_depth_m=contact_m,
             left_s=self.time_s,
-            identifier=self._snapshot(),
+            identifier=self._identifier.identifier.snapshot(),
         )
         self.channels = add_channel(self.channels, channel)
 
@@ -506,7 +497,7 @@ class InsertionCourse:
         entry_depth_m = float(zero_axis.dot(channel.entry.start_in_base_m - start_m))
         end_m = entry_depth_m + channel.length_m
         depth_m = self.travel.depth_m
-        in_air = self._snapshot()
+        in_air = self._identifier.identifier.snapshot()
         known = continue_channel(
             channel.identifier,
             in_air,
