@@ -310,9 +310,7 @@ class InsertionCourse:
         if self._is_started:
             self.time_s += elapsed_s
         else:
-            self._count_depth_from(self._line)
-            self.insertion = InsertionProgress(self.zero)
-            self.plan.begin(self.zero)
+            self.begin_where_tared()
             self._is_started = True
         line = self.insertion.line
         position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
@@ -410,9 +408,7 @@ class InsertionCourse:
 
     def begin_anew(self) -> None:
         """Begin an insertion here; layers stay until tissue is met."""
-        layers = self.layers
-        self._begin(self._line, self.travel.depth_m)
-        self.insertion = self.insertion._replace(layers_before=layers)
+        self._begin(self._line, self.travel.depth_m, self.layers)
 
     def begin_here(self) -> None:
         """Begin an insertion with depth zero here."""
@@ -426,16 +422,28 @@ class InsertionCourse:
         self.begin_here()
 
     def begin_where_tared(self) -> None:
-        """Count depth from here at the end of a tare; no sample was used since."""
+        """Count depth from here at the end of a tare, or at the start.
+
+        No sample was used since the insertion began.
+        """
         self._count_depth_from(self._line)
         self.insertion = InsertionProgress(self.zero)
         self._identifier.date(self.time_s)
         self.plan.begin(self.zero)
 
-    def _begin(self, line: TravelZero, depth_m: float) -> None:
+    def _begin(
+        self,
+        line: TravelZero,
+        depth_m: float,
+        layers_before: tuple[LayerEstimate, ...] = (),
+    ) -> None:
         """Begin an insertion at a depth: forget what was identified."""
         self.insertion = InsertionProgress(
-            line, line_depth_m=depth_m, deepest_m=depth_m, highest_m=depth_m
+            line,
+            line_depth_m=depth_m,
+            deepest_m=depth_m,
+            highest_m=depth_m,
+            layers_before=layers_before,
         )
         self._identifier.begin(self.time_s)
         self._zero_watch.begin_insertion()

@@ -192,15 +192,16 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
     return fields
 
 
-def case_of_plan(place: Path) -> PatientCase:
-    """Read CT and labels that a plan's file names.
+def case_of_plan(fields: Mapping[str, Any], folder: Path) -> PatientCase:
+    """Read CT and labels that a plan names.
+
+    Args:
+        fields: Of the plan's file.
+        folder: Where it lies.
 
     Raises:
-        CommandError: The file is no plan, or does not name them.
         needleforce.anatomy.VolumeError: They cannot be read any more.
     """
-    fields = read_plan_fields(place)
-    folder = place if place.is_dir() else place.parent
     structures = fields.get("structures") or None
     return read_case(
         folder / fields["ct"],

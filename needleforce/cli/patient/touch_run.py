@@ -124,8 +124,8 @@ def _open_touching_arm(
     """
     kind, _, plan = name.partition(":")
     if kind == "sim" and plan.endswith(".json"):
-        labels = case_files.case_of_plan(Path(plan)).labels
         fields = case_files.read_plan_fields(Path(plan))
+        labels = case_files.case_of_plan(fields, Path(plan).parent).labels
         with progress_bar("simulating"):
             arm = touch_patient(fields, labels, landmarks_m)
         yield arm
