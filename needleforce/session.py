@@ -376,7 +376,7 @@ class InsertionSession:
         return SessionSnapshot(
             sensor=self._sensor.snapshot(),
             identifier=identifier.identifier.snapshot(),
-            checkpoints=identifier.checkpoints,
+            checkpoints=(identifier.older, identifier.newer),
             unused_s=identifier.unused_s,
             course=self._needle.state(),
             plan=self._needle.plan.memory,

@@ -365,9 +365,9 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
         session._follow_needle(wrench._replace(warnings=warning))
     rewound = session.snapshot()
 
-    assert same(rewound.identifier, used.checkpoints.older.identifier)
+    assert same(rewound.identifier, used.checkpoints[0].identifier)
     assert rewound.unused_s == pytest.approx(
-        rewound.course.time_s - used.checkpoints.older.time_s
+        rewound.course.time_s - used.checkpoints[0].time_s
     )
 
 

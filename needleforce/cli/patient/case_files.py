@@ -4,7 +4,7 @@ Names that a user gives to structures of a segmentation, too: ``--structures``.
 """
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -121,39 +121,6 @@ def parse_structures(text: str | None) -> StructureNames:
             )
         names[name] = kind
     return names
-
-
-def require_known_names(
-    labels: Labels, confirmed: Collection[str], *, has_asked: bool
-) -> None:
-    """Refuse names that say nothing, of which nobody has said whether to pass them.
-
-    Args:
-        labels: The segmentation.
-        confirmed: Names that the user has said something of.
-        has_asked: Some structures were named that must stay clear; without any, one at
-            least must be known as an obstacle or as one at risk.
-
-    Raises:
-        CommandError: There are such names; it lists them.
-    """
-    is_warned = {
-        each.name: each.is_obstacle or each.is_risk for each in labels.structures
-    }
-    unknown = [
-        item.name
-        for item in labels.structures
-        if not (is_warned[item.name] or is_known(item.anatomy))
-        and item.name not in confirmed
-    ]
-    if not (any(is_warned.values()) or has_asked):
-        unknown = unknown or list(is_warned)
-    if unknown:
-        raise CommandError(
-            f"names that do not say what they are: {', '.join(unknown)}; expected for "
-            "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
-            f"it) or --structures {unknown[0]}=KIND, of {KINDS}"
-        )
 
 
 def read_touches(path: Path | None) -> TouchFile:
