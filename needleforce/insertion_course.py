@@ -11,7 +11,6 @@ from foundation.arrays import Array, Vector
 from foundation.jit import compiled
 from foundation.linear_algebra import dot
 from identification import LayerEstimate
-from identification import Snapshot as IdentifierSnapshot
 from identification.channel import (
     continue_channel,
     count_depth_from,
@@ -248,9 +247,7 @@ class InsertionCourse:
 
     def state(self) -> CourseState:
         """Return what `restore` continues from; the plan has a state of its own."""
-        return CourseState(
-            self.zero, self.travel, self.time_s, self.insertion, self.channels
-        )
+        return CourseState(*(getattr(self, name) for name in CourseState._fields))
 
     def restore(self, state: CourseState, *, is_started: bool) -> None:
         """Continue from a state.
@@ -260,10 +257,7 @@ class InsertionCourse:
             is_started: Whether a valid sample had come.
         """
         self._count_depth_from(state.zero)
-        self.travel = state.travel
-        self.time_s = state.time_s
-        self.insertion = state.insertion
-        self.channels = state.channels
+        vars(self).update(state._asdict())
         self._is_started = is_started
 
     @property
@@ -316,9 +310,7 @@ class InsertionCourse:
         if self._is_started:
             self.time_s += elapsed_s
         else:
-            self._count_depth_from(self._line)
-            self.insertion = InsertionProgress(self.zero)
-            self.plan.begin(self.zero)
+            self.begin_where_tared()
             self._is_started = True
         line = self.insertion.line
         position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
@@ -337,8 +329,7 @@ class InsertionCourse:
             speed_lag_s=self._speed_lag_s,
             force_lag_s=force_lag_s,
         )
-        if self.plan.has_path:
-            self.plan.compare_with(self._tool)
+        self.plan.compare_with(self._tool)
 
     def judge_speed(self, force_lag_s: float, dt_s: float) -> None:
         """Note for the whole insertion if the needle outruns the force in tissue.
@@ -417,9 +408,7 @@ class InsertionCourse:
 
     def begin_anew(self) -> None:
         """Begin an insertion here; layers stay until tissue is met."""
-        layers = self.layers
-        self._begin(self._line, self.travel.depth_m)
-        self.insertion = self.insertion._replace(layers_before=layers)
+        self._begin(self._line, self.travel.depth_m, self.layers)
 
     def begin_here(self) -> None:
         """Begin an insertion with depth zero here."""
@@ -433,16 +422,28 @@ class InsertionCourse:
         self.begin_here()
 
     def begin_where_tared(self) -> None:
-        """Count depth from here at the end of a tare; no sample was used since."""
+        """Count depth from here at the end of a tare, or at the start.
+
+        No sample was used since the insertion began.
+        """
         self._count_depth_from(self._line)
         self.insertion = InsertionProgress(self.zero)
         self._identifier.date(self.time_s)
         self.plan.begin(self.zero)
 
-    def _begin(self, line: TravelZero, depth_m: float) -> None:
+    def _begin(
+        self,
+        line: TravelZero,
+        depth_m: float,
+        layers_before: tuple[LayerEstimate, ...] = (),
+    ) -> None:
         """Begin an insertion at a depth: forget what was identified."""
         self.insertion = InsertionProgress(
-            line, line_depth_m=depth_m, deepest_m=depth_m, highest_m=depth_m
+            line,
+            line_depth_m=depth_m,
+            deepest_m=depth_m,
+            highest_m=depth_m,
+            layers_before=layers_before,
         )
         self._identifier.begin(self.time_s)
         self._zero_watch.begin_insertion()
@@ -466,9 +467,6 @@ class InsertionCourse:
         self.zero = zero
         self.travel = TipTravel()
 
-    def _snapshot(self) -> IdentifierSnapshot:
-        return self._identifier.identifier.snapshot()
-
     @property
     def _length_to_remember_m(self) -> float:
         """Length of the channel that this insertion has cut; 0 if it has cut none."""
@@ -477,7 +475,8 @@ class InsertionCourse:
             return 0.0
         length_m = self.insertion.deepest_m - contact_m
         is_long = length_m >= MIN_LENGTH_M
-        return length_m if is_long and has_cut(self._snapshot()) else 0.0
+        known = self._identifier.identifier.snapshot()
+        return length_m if is_long and has_cut(known) else 0.0
 
     def remember_channel(self) -> None:
         """Remember the channel that this insertion has cut, if it has cut one."""
@@ -492,7 +491,7 @@ class InsertionCourse:
             length_m=length_m,
             entry_depth_m=contact_m,
             left_s=self.time_s,
-            identifier=self._snapshot(),
+            identifier=self._identifier.identifier.snapshot(),
         )
         self.channels = add_channel(self.channels, channel)
 
@@ -506,7 +505,7 @@ class InsertionCourse:
         entry_depth_m = float(zero_axis.dot(channel.entry.start_in_base_m - start_m))
         end_m = entry_depth_m + channel.length_m
         depth_m = self.travel.depth_m
-        in_air = self._snapshot()
+        in_air = self._identifier.identifier.snapshot()
         known = continue_channel(
             channel.identifier,
             in_air,

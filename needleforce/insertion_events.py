@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from identification.estimate import HardContact, Rupture
 from needleforce.depth_zero import find_depth_zero
+from residual import SensorWarning
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
@@ -17,7 +18,7 @@ class SessionEvent(NamedTuple):
 
     Attributes:
         kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact``,
-            ``past_target`` or ``too_near``.
+            ``turn`` (of a joint's angle), ``past_target`` or ``too_near``.
         text: One sentence for people.
         values: What is known of it, by name with unit.
     """
@@ -55,6 +56,9 @@ def _describe_rupture(estimate: "SessionEstimate", rupture: Rupture) -> str:
 def session_events(estimate: "SessionEstimate") -> Iterator[SessionEvent]:
     """Yield the events of one update."""
     yield from estimate.plan_events
+    if SensorWarning.TURN in estimate.warnings:
+        text = "an angle stepped by a whole turn: that counts as no motion"
+        yield SessionEvent(kind="turn", text=text, values={})
     identification = estimate.identification
     rupture = identification.rupture
     if rupture is not None:

@@ -1,6 +1,7 @@
 """The plan beside a session: the ruptures of the session are matched with it."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,18 +26,6 @@ if TYPE_CHECKING:
     )
 
 
-class MatchedRupture(NamedTuple):
-    """A rupture that counts for the plan.
-
-    Attributes:
-        alarm_s: Time of its alarm, by which a retraction finds it.
-        depth_m: Depth of the rupture.
-    """
-
-    alarm_s: float
-    depth_m: float
-
-
 class PlanMemory(NamedTuple):
     """State of a `PlanFollower`: the depths of its last evaluation.
 
@@ -53,7 +42,7 @@ class PlanMemory(NamedTuple):
 
     fingerprint: str
     entry_depth_m: float = 0.0
-    ruptures: tuple[MatchedRupture, ...] = ()
+    ruptures: tuple[Rupture, ...] = ()
     depth_m: float | None = None
     deepest_m: float = 0.0
     contact_m: float | None = None
@@ -71,8 +60,6 @@ class PlanFollower:
         surroundings: The structures at risk around the path, if they are known.
 
     Attributes:
-        has_plan: Whether there is a plan to match ruptures with.
-        has_path: Whether there is a path to compare the needle with.
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
         deviation: The needle against the planned path; None without a path.
@@ -88,8 +75,6 @@ class PlanFollower:
         self._plan = plan
         self._path = path
         self._surroundings = surroundings
-        self.has_plan = plan is not None
-        self.has_path = path is not None
         self.deviation: PlanDeviation | None = None
         self.clearances: tuple[NeedleClearance, ...] = ()
         self._events: list[SessionEvent] = []
@@ -99,7 +84,7 @@ class PlanFollower:
     @property
     def entry_depth_m(self) -> float | None:
         """Depth of the plan's entry; None without one."""
-        return self.memory.entry_depth_m if self.has_path else None
+        return None if self._path is None else self.memory.entry_depth_m
 
     @property
     def reported_state(self) -> "PlanState | None":
@@ -160,8 +145,7 @@ class PlanFollower:
             zero: Point and axis.
             ruptures: Those of the channel in which the needle goes on.
         """
-        known = tuple(MatchedRupture(each.alarm_s, each.depth_m) for each in ruptures)
-        self._begin_with(zero, known)
+        self._begin_with(zero, tuple(ruptures))
 
     def move_zero(self, zero: TravelZero, moved_m: float) -> None:
         """Count depth from another point in the same insertion.
@@ -171,14 +155,12 @@ class PlanFollower:
             moved_m: Depth of a place from there less its depth before.
         """
         ruptures = tuple(
-            rupture._replace(depth_m=rupture.depth_m + moved_m)
+            replace(rupture, depth_m=rupture.depth_m + moved_m)
             for rupture in self.memory.ruptures
         )
         self._begin_with(zero, ruptures)
 
-    def _begin_with(
-        self, zero: TravelZero, ruptures: tuple[MatchedRupture, ...]
-    ) -> None:
+    def _begin_with(self, zero: TravelZero, ruptures: tuple[Rupture, ...]) -> None:
         """Count depth from a point along an axis, and match these ruptures."""
         entry_depth_m = 0.0
         if self._path is not None:
@@ -240,8 +222,8 @@ class PlanFollower:
 
 
 def _after_events(
-    ruptures: tuple[MatchedRupture, ...], identification: Estimate
-) -> tuple[MatchedRupture, ...]:
+    ruptures: tuple[Rupture, ...], identification: Estimate
+) -> tuple[Rupture, ...]:
     """Return the ruptures after the events of a sample: one retracted, one added.
 
     A needle that is pushed in again may rupture what it has ruptured before: a rupture
@@ -252,5 +234,5 @@ def _after_events(
         ruptures = tuple(r for r in ruptures if r.alarm_s != retracted.alarm_s)
     rupture = identification.rupture
     if rupture is not None and all(rupture.depth_m >= r.depth_m for r in ruptures):
-        ruptures = (*ruptures, MatchedRupture(rupture.alarm_s, rupture.depth_m))
+        ruptures = (*ruptures, rupture)
     return ruptures

@@ -22,6 +22,7 @@ import numpy as np
 
 from foundation.errors import NeedleforceError
 from needleforce.devices import ArmReading
+from needleforce.recordings.errors import FileAccessError
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
 from needleforce.recordings.writers import WRITERS, csv_writer
@@ -139,6 +140,7 @@ class Recorder:
         # A thread inherits the priority of the loop, which is real time.
         with suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        written_s = 0.0
         try:
             with open_table(
                 self._path,
@@ -152,6 +154,12 @@ class Recorder:
                     for field in self._fields:
                         signal = [getattr(sample, field) for sample in samples]
                         columns[COLUMNS[field]] = np.array(signal)
-                    table.append(columns)
+                    try:
+                        table.append(columns)
+                    except FileAccessError as error:  # such as a full disk
+                        raise error.reworded(
+                            f"{error}; {written_s:.3f} s of it are written"
+                        ) from error
+                    written_s = times_s[-1]
         except Exception as error:
             self._error = error

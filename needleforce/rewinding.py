@@ -23,24 +23,12 @@ class Checkpoint(NamedTuple):
     identifier: IdentifierSnapshot
 
 
-class Checkpoints(NamedTuple):
-    """The two checkpoints that a session keeps.
+class RewindingIdentifier:
+    """An identifier with two checkpoints. Every ``time_s`` is on the session's clock.
 
     A push on the arm rewinds to the older one. While the two differ, this undoes at
     least a quarter of a second. They are equal, and less may be undone, from an event,
     a rewind or the start of an insertion until the next checkpoint.
-
-    Attributes:
-        older: The one before ``newer``, or the same one: events are never undone.
-        newer: State after the sample that made it due, saved when the next one comes.
-    """
-
-    older: Checkpoint
-    newer: Checkpoint
-
-
-class RewindingIdentifier:
-    """An identifier with checkpoints. Every ``time_s`` is on the session's clock.
 
     Attributes:
         identifier: Identifies.
@@ -50,7 +38,9 @@ class RewindingIdentifier:
         unused_s: Time of valid samples since the last one that was used.
         is_save_due: Whether a state to rewind to is to be saved. This is put off until
             the sample after the one that made it due, to spread the work.
-        checkpoints: States to rewind to.
+        older: The checkpoint before ``newer``, or the same one: events are never
+            undone.
+        newer: State after the sample that made it due, saved when the next one comes.
     """
 
     def __init__(self, config: MixtureConfig | PublishedConfig) -> None:
@@ -64,7 +54,7 @@ class RewindingIdentifier:
 
     def date(self, time_s: float) -> None:
         """Count unused time from now on, where no sample was used since the begin."""
-        self._stand_at(self.checkpoints.newer.identifier, time_s, time_s)
+        self._stand_at(self.newer.identifier, time_s, time_s)
 
     def go_back(
         self, snapshot: IdentifierSnapshot, begin_s: float, time_s: float
@@ -83,8 +73,7 @@ class RewindingIdentifier:
         self, snapshot: IdentifierSnapshot, begin_s: float, time_s: float
     ) -> None:
         """Take the identifier's state for the only one to rewind to."""
-        checkpoint = Checkpoint(begin_s, snapshot)
-        self.checkpoints = Checkpoints(checkpoint, checkpoint)
+        self.older = self.newer = Checkpoint(begin_s, snapshot)
         self.last = snapshot.last
         self.contact_m = self.identifier.contact_depth_m
         self.unused_s = time_s - begin_s
@@ -92,12 +81,15 @@ class RewindingIdentifier:
         self._had_events = False
 
     def restore(
-        self, snapshot: IdentifierSnapshot, checkpoints: Checkpoints, unused_s: float
+        self,
+        snapshot: IdentifierSnapshot,
+        checkpoints: tuple[Checkpoint, Checkpoint],
+        unused_s: float,
     ) -> None:
         """Continue from a snapshot that this identifier takes."""
         self.go_back(snapshot, 0.0, unused_s)
         self.end_events()
-        self.checkpoints = checkpoints
+        self.older, self.newer = checkpoints
 
     def move_zero(self, moved_m: float, time_s: float) -> None:
         """Count depth from another zero; unused time goes on.
@@ -143,25 +135,24 @@ class RewindingIdentifier:
         period_s = 0.25
         self.last = estimate
         self._had_events = estimate.has_events
-        due_s = self.checkpoints.newer.time_s + period_s
+        due_s = self.newer.time_s + period_s
         self.is_save_due = self._had_events or time_s >= due_s
 
     def save(self, time_s: float) -> None:
         """Save a state to rewind to."""
-        newer = Checkpoint(time_s, self.identifier.snapshot())
+        checkpoint = Checkpoint(time_s, self.identifier.snapshot())
         # An event must not be reported twice: nothing before it is kept.
-        older = newer if self._had_events else self.checkpoints.newer
-        self.checkpoints = Checkpoints(older, newer)
+        self.older = checkpoint if self._had_events else self.newer
+        self.newer = checkpoint
         self.is_save_due = False
 
     def skip(self, elapsed_s: float, time_s: float, *, is_spoilt: bool) -> None:
         """Leave out a sample; rewind if those before it are spoilt, too."""
         self.unused_s += elapsed_s
-        used_s = time_s - self.unused_s - self.checkpoints.older.time_s
+        used_s = time_s - self.unused_s - self.older.time_s
         # Half a time step allows for the rounding of sums of time steps.
         if is_spoilt and used_s > 0.5 * elapsed_s:
-            older = self.checkpoints.older
-            self.go_back(older.identifier, older.time_s, time_s)
+            self.go_back(self.older.identifier, self.older.time_s, time_s)
 
     def end_events(self) -> None:
         """Repeat the last estimate, its events over."""

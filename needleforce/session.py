@@ -376,7 +376,7 @@ class InsertionSession:
         return SessionSnapshot(
             sensor=self._sensor.snapshot(),
             identifier=identifier.identifier.snapshot(),
-            checkpoints=identifier.checkpoints,
+            checkpoints=(identifier.older, identifier.newer),
             unused_s=identifier.unused_s,
             course=self._needle.state(),
             plan=self._needle.plan.memory,
@@ -489,10 +489,9 @@ class InsertionSession:
         needle = self._needle
         identifier = self._identifier
         identifier.accept(identification, needle.time_s)
-        if needle.plan.has_plan:
-            needle.plan.match(
-                identification, needle.travel.delayed_depth_m, identifier.contact_m
-            )
+        needle.plan.match(
+            identification, needle.travel.delayed_depth_m, identifier.contact_m
+        )
         channel = needle.insertion.channel
         if channel is not None:
             needle.check_channel(channel, wrench)

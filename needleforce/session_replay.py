@@ -168,8 +168,8 @@ def replay_sensor(
     end_row = len(log)
     if window is not None:
         window = _inside(window, log.t_s)
-        start_row = int(np.argmax(log.t_s >= window.start_s))
-        end_row = _first_later(log.t_s, window.end_s, start_row)
+        start_row = int(np.searchsorted(log.t_s, window.start_s))
+        end_row = int(np.searchsorted(log.t_s, window.end_s, side="right"))
     sensor = VirtualForceSensor(robot, config)
     tare: Tare | None = None
     names = _names_of(config)
@@ -188,7 +188,7 @@ def replay_sensor(
         if estimate.status is Status.NOT_TARED and is_tared and window is None:
             start_s = float(log.t_s[row])
             window = TareWindow(start_s, start_s + AUTOMATIC_TARE_S)
-            end_row = _first_later(log.t_s, window.end_s, row)
+            end_row = int(np.searchsorted(log.t_s, window.end_s, side="right"))
         # Before the update with the next row.
         if row + 1 == start_row:
             sensor.start_tare_recording()
@@ -250,12 +250,6 @@ def _inside(window: TareWindow, t_s: Array) -> TareWindow:
             f"which runs from {first_s:.12g} to {last_s:.12g} s"
         )
     return window._replace(start_s=max(window.start_s, first_s))
-
-
-def _first_later(t_s: Array, time_s: float, start_row: int) -> int:
-    """Return the first row after another one that is later than a time, or the end."""
-    later = np.flatnonzero(t_s[start_row:] > time_s)
-    return start_row + int(later[0]) if len(later) else len(t_s)
 
 
 def _take_tare(

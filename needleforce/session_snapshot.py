@@ -12,7 +12,7 @@ from identification import Snapshot as IdentifierSnapshot
 from needleforce.files import whole_file
 from needleforce.insertion_course import CourseState
 from needleforce.plan_follower import PlanMemory
-from needleforce.rewinding import Checkpoints
+from needleforce.rewinding import Checkpoint
 from needleforce.zero_watch import AirWatch
 from residual.virtual_force_sensor import SensorState
 
@@ -39,7 +39,7 @@ class SessionSnapshot(NamedTuple):
     Attributes:
         sensor: State of the virtual sensor.
         identifier: State of the identifier.
-        checkpoints: States of the identification to rewind to.
+        checkpoints: States of the identification to rewind to, the older one first.
         unused_s: Time of valid samples that were not used for identification.
         course: Where the needle is in which insertion, and the channels it has cut.
         plan: State of the plan's follower.
@@ -49,7 +49,7 @@ class SessionSnapshot(NamedTuple):
 
     sensor: SensorState
     identifier: IdentifierSnapshot
-    checkpoints: Checkpoints
+    checkpoints: tuple[Checkpoint, Checkpoint]
     unused_s: float
     course: CourseState
     plan: PlanMemory

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
-from foundation.jit import compiled, compiled_inside
-from foundation.linear_algebra import dot
+from foundation.jit import compiled_inside
 
 Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
 """Type of `residual.ToolKinematics.needle`: a plain tuple, for Python passes one to
@@ -102,26 +101,19 @@ def place_tip(needle: Needle) -> TipPlace:
     return TipPlace(position, along)
 
 
-@compiled
-def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
-    """Return the tip's position along an axis [m] and its speed along the needle [m/s].
+@compiled_inside
+def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
+    """Return the speed of the tip along the needle [m/s].
 
     With linear and angular velocity v and w of the link that carries the needle, taken
     at the base's origin, the tip at r has the speed v . d + w . (r x d) along the
     needle's direction d.
 
     Args:
-        axis: Direction in base axes, length one, shape (3,).
+        tip: Where it is.
         needle: `residual.ToolKinematics.needle`.
         dq: Joint velocities [rad/s], shape (n,).
     """
-    tip = place_tip(needle)
-    return dot(axis, tip.position_m), tip_speed(tip, needle, dq)
-
-
-@compiled_inside
-def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
-    """Return the speed of the tip along the needle, see `tip_motion`."""
     jacobian = needle[2]
     twist = np.zeros(6)
     for j in range(len(dq)):

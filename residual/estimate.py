@@ -77,6 +77,9 @@ class SensorWarning(IntFlag):
     force and friction divided wrongly, by more than their deviations. It stays for the
     insertion. Advance slower, measure the velocities, or raise
     `SensorConfig.gain_per_s`."""
+    TURN = 4096
+    """In this sample the angle of a joint has stepped by a whole turn, as drivers
+    report it that keep to a circle. That counts as no motion."""
 
 
 class WrenchEstimate(NamedTuple):

@@ -121,6 +121,7 @@ class SampleStream:
         memory: Its state.
         guard: The fault detector; None where there is none.
         is_stale: Whether signals have not changed for a while.
+        has_turned: Whether a position of the last sample has stepped by a whole turn.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class SampleStream:
             )
             delay_s = self._velocity.delay_s
         self.is_stale = False
+        self.has_turned = False
         self.guard: FaultDetector | None = None
         if config.guard:
             # Without an offset forces are tried at the tool frame, whatever frame is
@@ -203,7 +205,7 @@ class SampleStream:
         guard = self.guard
         rows = self._read(q, dq, torque)
         is_continued = memory.started and dt_s <= self._max_gap_s
-        has_stepped = is_continued and unwrap(
+        self.has_turned = is_continued and unwrap(
             rows[0], memory.q, memory.turns, self._is_angle
         )
         rows.setflags(write=False)
@@ -214,7 +216,7 @@ class SampleStream:
         sample = self._estimate(rows, dt_s)
         if guard is not None:
             self.is_stale = guard.accept(rows, sample.dq, dt_s)
-        if has_stepped:
+        if self.has_turned:
             memory.turns = np.rint((rows[0] - np.asarray(q)) / TURN_RAD)
         elif not is_continued:
             memory.turns = np.zeros(self._joints)

@@ -581,7 +581,7 @@ class VirtualForceSensor:
         state.is_smoothing = True
         assessment = self._monitor.assessment
         is_good = is_settled and bias.tared and not bias.leapt_s
-        if not is_good or stream.is_stale:
+        if not is_good or stream.is_stale or stream.has_turned:
             assessment = self._assess(stream, is_settled=is_settled)
         estimate = wrench.solve(
             residual, state.wrench_filter, smoothing_lag, observer_lag, assessment
@@ -600,6 +600,8 @@ class VirtualForceSensor:
         frozen, question = stream.stale_signals()
         if frozen:
             warnings |= SensorWarning.FROZEN
+        if stream.has_turned:
+            warnings |= SensorWarning.TURN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
         if not is_settled:

@@ -7,9 +7,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.jobs import Source
-from foundation.arrays import Array
+from foundation.arrays import Array, Vector
+from foundation.jit import compiled
+from foundation.linear_algebra import dot
 from groundtruth import NeedleRun, Run, Rupture
-from needleforce.tip_travel import tip_motion
+from needleforce.tip_travel import Needle, place_tip, tip_speed
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -179,6 +181,19 @@ class NeedleSignal:
     depth_m: Array
     speed_m_s: Array | None
     force_N: Array
+
+
+@compiled
+def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
+    """Return the tip's position along an axis [m] and its speed along the needle [m/s].
+
+    Args:
+        axis: Direction in base axes, length one, shape (3,).
+        needle: `residual.ToolKinematics.needle`.
+        dq: Joint velocities [rad/s], shape (n,).
+    """
+    tip = place_tip(needle)
+    return dot(axis, tip.position_m), tip_speed(tip, needle, dq)
 
 
 def measured_travel(

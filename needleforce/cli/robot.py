@@ -18,7 +18,6 @@ import pinocchio as pin
 
 import residual
 import urdf
-from foundation.arrays import Array
 from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import OTHER_ROBOT, CommandError, warn
 from needleforce.recordings.channels import read_toml
@@ -292,15 +291,14 @@ def with_friction(
     if rotor_inertia is not None:
         where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
         robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
-    if not tables:
-        return robot, None
-    ((name, table),) = tables.items()
-    friction = convert_table(models[name], table, f"{path}: [{name}]")
-    for item in fields(friction):
-        values = getattr(friction, item.name)
-        if isinstance(values, np.ndarray):
-            where = f"{path}: [{name}]: {item.name}, one number per joint,"
-            finite_array(values, (robot.nv,), where)
+    friction = None
+    for name, table in tables.items():
+        friction = convert_table(models[name], table, f"{path}: [{name}]")
+        for item in fields(friction):
+            values = getattr(friction, item.name)
+            if isinstance(values, np.ndarray):
+                where = f"{path}: [{name}]: {item.name}, one number per joint,"
+                finite_array(values, (robot.nv,), where)
     return robot, friction
 
 
@@ -357,9 +355,7 @@ def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> 
         raise CommandError(
             f"{where}: unknown key {unknown[0]!r}; known are: {', '.join(known)}"
         )
-    values: dict[str, Any] = {}
-    if preset is not None:
-        values = {name: getattr(preset, name) for name in known}
+    values = {name: getattr(preset, name) for name in known if preset is not None}
     for name, value in table.items():
         nested = values.get(name)
         values[name] = None if value == NOTHING else value
@@ -367,14 +363,11 @@ def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> 
             here = f"{where}: {name}"
             values[name] = convert_table(type(nested), value, here, nested)
     try:
-        return msgspec.convert(values, kind, dec_hook=_as_array)
+        return msgspec.convert(
+            values, kind, dec_hook=lambda _kind, numbers: np.array(numbers, np.float64)
+        )
     except (msgspec.ValidationError, OverflowError) as error:
         raise CommandError(f"{where}: {error}") from error
-
-
-def _as_array(_kind: Any, value: Any) -> Array:
-    """Return a list of numbers as an array; used by msgspec."""
-    return np.array(value, dtype=np.float64)
 
 
 def link_poses(robot: Robot, q_rad: np.ndarray) -> LinkTransforms:

@@ -8,7 +8,7 @@ the simulated ones do.
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from time import monotonic, sleep
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from numpy.typing import ArrayLike
 
@@ -178,15 +178,23 @@ class ReplayArm(Link):
         q_rad: Joint positions, shape (m, n).
         dq_rad_s: Joint velocities, shape (m, n), or None.
         tau_Nm: Joint torques, shape (m, n).
+        robot: The model of the arm, kept for those who need both.
 
     Attributes:
         joints: How many there are, n.
+        robot: See the arguments.
     """
 
     def __init__(
-        self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array
+        self,
+        dt_s: Array,
+        q_rad: Array,
+        dq_rad_s: Array | None,
+        tau_Nm: Array,
+        robot: Any = None,
     ) -> None:
         super().__init__()
+        self.robot = robot
         self.joints = q_rad.shape[1]
         velocities = [None] * len(dt_s) if dq_rad_s is None else dq_rad_s
         self._rows = zip(dt_s.tolist(), q_rad, velocities, tau_Nm, strict=True)

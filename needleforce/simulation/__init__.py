@@ -10,7 +10,6 @@ the plan).
 """
 
 from needleforce.simulation.patient import (
-    TouchingArm as TouchingArm,
     insert_into_patient as insert_into_patient,
     touch_patient as touch_patient,
 )

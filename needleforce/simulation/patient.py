@@ -110,21 +110,9 @@ def insert_into_patient(
     return simulate(scenario, "clean", seed, progress)
 
 
-class TouchingArm(NamedTuple):
-    """An arm that touches the patient.
-
-    Attributes:
-        arm: Its joint signals.
-        robot: Its model.
-    """
-
-    arm: ReplayArm
-    robot: Robot
-
-
 def touch_patient(
     plan: Mapping[str, Any], labels: Labels, landmarks_m: Array
-) -> TouchingArm:
+) -> ReplayArm:
     """Return a simulated arm that touches landmarks, then the skin about the entry.
 
     Args:
@@ -144,9 +132,7 @@ def touch_patient(
     error_m = 0.3e-3  # along each axis: skin gives way, landmarks are blunt
     places_m = lay_patient(path, line).to_robot(points_m)
     places_m = places_m + error_m * rng.normal(size=places_m.shape)
-    return TouchingArm(
-        _touching_arm(robot, path.posture_rad(0.0), path.start, places_m), robot
-    )
+    return _touching_arm(robot, path.posture_rad(0.0), path.start, places_m)
 
 
 def arm_path(robot: Robot, line: PlannedLine) -> InsertionPath:
@@ -274,7 +260,7 @@ def _signals(robot: Robot, q_rad: Array, force_N: Array) -> ReplayArm:
         )
         # The tissue pushes the tool back along its z axis; the motors hold against it.
         tau_Nm[tick] = torque_Nm + force_N[tick] * jacobian[2]
-    return ReplayArm(np.full(len(q_rad), dt_s), q_rad, dq_rad_s, tau_Nm)
+    return ReplayArm(np.full(len(q_rad), dt_s), q_rad, dq_rad_s, tau_Nm, robot)
 
 
 def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:

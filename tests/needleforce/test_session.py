@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from identification import CheckConfig, MixtureConfig, SampleStatus
-from needleforce import InsertionError, InsertionSession
+from needleforce import InsertionError, InsertionSession, session_events
 from residual import DEFAULT, SensorWarning, Status, TareError, ToolKinematics
 from tests.insertion_run import (
     insert,
@@ -225,6 +225,19 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
     assert passed_s == pytest.approx(rows[51][3])
 
 
+def test_an_angle_that_steps_by_a_turn_is_an_event():
+    session, rows = resumed_after(TARE, 60)
+    turn_rad = 2.0 * np.pi * np.eye(7)[2]
+    steps = [q + turn_rad * (k >= 50) for k, (q, *_) in enumerate(rows)]
+    found = updated(
+        session, [(q, *row[1:]) for q, row in zip(steps, rows, strict=True)]
+    )
+    events = {k: [one.kind for one in session_events(e)] for k, e in enumerate(found)}
+
+    assert {k: kinds for k, kinds in events.items() if kinds} == {50: ["turn"]}
+    assert found[-1].used_for_identification
+
+
 @pytest.mark.slow
 def test_a_force_rejected_by_identifier_is_unused():
     config = MixtureConfig(check=CheckConfig(force_limit_N=1.0))
@@ -369,9 +382,9 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
         session._follow_needle(wrench._replace(warnings=warning))
     rewound = session.snapshot()
 
-    assert same(rewound.identifier, used.checkpoints.older.identifier)
+    assert same(rewound.identifier, used.checkpoints[0].identifier)
     assert rewound.unused_s == pytest.approx(
-        rewound.course.time_s - used.checkpoints.older.time_s
+        rewound.course.time_s - used.checkpoints[0].time_s
     )
 
 

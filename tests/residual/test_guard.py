@@ -359,11 +359,14 @@ def test_a_step_of_a_turn_is_no_motion(lwr, with_velocity, guard):
     )
     wrapped = changed(rows, 0, lambda q: q - at(2, 2.0 * np.pi), 300)
     wrapped = changed(wrapped, 0, lambda q: q + at(4, 4.0 * np.pi), 600, 800)
-    found = [(e.status, e.axial) for e in feed(sensor, wrapped)]
+    estimates = feed(sensor, wrapped)
+    found = [(e.status, e.axial) for e in estimates]
+    warned = [k for k, e in enumerate(estimates) if SensorWarning.TURN in e.warnings]
 
     assert found == [
         (Status.OK, pytest.approx(e.axial, abs=1e-6)) for e in feed(twin, rows)
     ]
+    assert warned == [300, 600, 800]
 
 
 # Where an estimate may be wrong.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -46,18 +46,6 @@ def say_silence(silent_s: float, what: str = "") -> None:
         say(f"{what}silent {silent_s:.1f} s")
 
 
-class ConnectedArm(NamedTuple):
-    """An arm that sends its joint signals, and its model.
-
-    Attributes:
-        arm: The connection, one of `needleforce.devices`.
-        robot: The model.
-    """
-
-    arm: Any
-    robot: Robot
-
-
 @contextmanager
 def open_arm(
     name: str,
@@ -65,8 +53,11 @@ def open_arm(
     constants_Nm_A: MotorConstants | None = None,
     *,
     takes_commands: bool = False,
-) -> Iterator[ConnectedArm]:
-    """Open the arm that a user names, with its model; it is closed in the end.
+) -> Iterator[Any]:
+    """Open the arm that a user names; it is closed in the end.
+
+    Yields the connection, one of `needleforce.devices` or a simulated arm, with its
+    model as `robot`.
 
     Args:
         name: The arm as the command line names it, such as ``fri:30200``.
@@ -109,12 +100,12 @@ def open_arm(
                 f"{robot.nv}",
                 OTHER_ROBOT,
             )
-        yield ConnectedArm(arm, robot)
+        yield arm
 
 
 def _simulated_arm(
     name: str, scenario: str, options: RobotOptions, *, takes_commands: bool
-) -> ConnectedArm:
+) -> SimulatedArm | ReplayArm:
     """Return an LWR 4+ that replays a simulated insertion, or moves in free air."""
     if replace(options, robot=None) != RobotOptions() or not options.is_lwr:
         raise CommandError(
@@ -124,8 +115,7 @@ def _simulated_arm(
     if takes_commands:
         if scenario:
             raise CommandError(f"{name} moves in free air, expected sim alone")
-        arm = SimulatedArm(plant="clean")
-        return ConnectedArm(arm, arm.robot)
+        return SimulatedArm(plant="clean")
     from needleforce.cli.patient.case_files import read_plan_fields
     from needleforce.simulation.patient import insert_into_patient
 
@@ -136,8 +126,7 @@ def _simulated_arm(
             run = simulate(scenario or "stack-glove-constant", plant="clean")
     signals = run.signals
     dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
-    arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
-    return ConnectedArm(arm, run.robot)
+    return ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm, run.robot)
 
 
 def _robot_of(name: str, options: RobotOptions) -> Robot:
@@ -194,12 +183,12 @@ def ask_to_move(name: str, motion: str) -> None:
         raise CommandError("not confirmed: nothing has moved")
 
 
-def limits_of(connected: ConnectedArm) -> Limits:
+def limits_of(arm: GuardedArm | SimulatedArm) -> Limits:
     """Return the limits of an arm: its preset, or careful ones where that has none."""
-    if isinstance(connected.arm, GuardedArm):
-        return connected.arm.limits
+    if isinstance(arm, GuardedArm):
+        return arm.limits
     # Below those of every preset.
-    return Limits(connected.robot, acceleration_rad_s2=5.0, jerk_rad_s3=2500.0)
+    return Limits(arm.robot, acceleration_rad_s2=5.0, jerk_rad_s3=2500.0)
 
 
 def samples_until_stopped(
@@ -277,11 +266,11 @@ def record_signals(
     check_writable(output, overwrites=overwrites)  # before the arm is waited for
     has_torque = True
     with (
-        open_arm(arm_name, robot, options.motor_constants) as (arm, model),
+        open_arm(arm_name, robot, options.motor_constants) as arm,
         Recorder(
             output,
-            model.joint_names,
-            labels_of_arm(described_robot(arm_name, robot), model),
+            arm.robot.joint_names,
+            labels_of_arm(described_robot(arm_name, robot), arm.robot),
             overwrites=overwrites,
         ) as recorder,
     ):

@@ -35,9 +35,9 @@ def measure_arm(
             "either way.",
         )
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(arm_name, options, takes_commands=True) as connected:
-        arm, robot = connected
-        delays = measure_lag(arm, robot, limits_of(connected))
+    with open_arm(arm_name, options, takes_commands=True) as arm:
+        robot = arm.robot
+        delays = measure_lag(arm, robot, limits_of(arm))
     slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
     gain = find_safe_gain(slowest)
     joints = [

@@ -11,7 +11,6 @@ from foundation.jit import compile_waiting
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
-    ConnectedArm,
     ask_to_move,
     described_robot,
     limits_of,
@@ -86,14 +85,14 @@ def watch_arm(
         opened = _open_tared_arm(
             arm_name, robot, options, stroke_m, is_confirmed=is_confirmed
         )
-        (arm, model), session = stack.enter_context(opened)
+        arm, session = stack.enter_context(opened)
         reference = page = None
         if reference_address is not None:
             sensor = _open_reference(reference_address, reference_axis)
             reference = stack.enter_context(sensor)
         if port is not None:
             robot = described_robot(arm_name, robot)
-            page = stack.enter_context(_open_page(model, plan, robot, port))
+            page = stack.enter_context(_open_page(arm.robot, plan, robot, port))
             say(f"{page.url} shows the scene")
         if plan is not None:
             plan.follow_with(session)
@@ -161,11 +160,13 @@ class _RestingArm:
         arm: The arm; it holds its place without commands.
 
     Attributes:
+        robot: Its model.
         report: Of its samples.
         end: Ends them.
     """
 
     def __init__(self, arm: SimulatedArm) -> None:
+        self.robot = arm.robot
         self.report = LinkReport()
         self.end = arm.close
         self._arm = arm
@@ -184,7 +185,7 @@ def _open_tared_arm(
     stroke_m: float | None,
     *,
     is_confirmed: bool,
-) -> Iterator[tuple[ConnectedArm, InsertionSession]]:
+) -> Iterator[tuple[Any, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
     A simulated arm stays the one that has moved; any other is given back and opened
@@ -202,8 +203,8 @@ def _open_tared_arm(
     """
     constants_Nm_A = options.motor_constants
     if stroke_m is None:
-        with open_arm(name, robot, constants_Nm_A) as connected:
-            yield connected, InsertionSession(connected.robot)
+        with open_arm(name, robot, constants_Nm_A) as arm:
+            yield arm, InsertionSession(arm.robot)
         return
     if name.startswith("ur:") and constants_Nm_A is None:
         raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
@@ -215,20 +216,23 @@ def _open_tared_arm(
     if not is_confirmed:
         ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(name, robot, constants_Nm_A, takes_commands=True) as connected:
-        arm, model = connected
-        session = InsertionSession(model)
+    with open_arm(name, robot, constants_Nm_A, takes_commands=True) as arm:
+        session = InsertionSession(arm.robot)
         say(text)
-        limits = limits_of(connected)
         tare_with_stroke(
-            arm, session, limits, stroke_m=stroke_m, leg_s=leg_s, robot=model
+            arm,
+            session,
+            limits_of(arm),
+            stroke_m=stroke_m,
+            leg_s=leg_s,
+            robot=arm.robot,
         )
         say("tared")
         if isinstance(arm, SimulatedArm):
-            yield ConnectedArm(_RestingArm(arm), model), session
+            yield _RestingArm(arm), session
             return
-    with open_arm(name, robot, constants_Nm_A) as connected:
-        yield connected, session
+    with open_arm(name, robot, constants_Nm_A) as arm:
+        yield arm, session
 
 
 @contextmanager

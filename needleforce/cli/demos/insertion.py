@@ -31,8 +31,10 @@ NOT_MEDICAL = "Simulation only: not a medical device."
 TRUTH = "Ground truth"
 
 TRUTH_NOTE = (
-    "What the simulation knows, and no method sees. Behind the first layer a friction "
-    "is the difference of two forces, and errs by more than that of a single gel."
+    "What the simulation knows, and no method sees. In a stack frictions err by more "
+    "than in the README, where single gels count, too: behind a rupture the next gel "
+    "presses on the tip at once, and from the second layer on a friction is the "
+    "difference of two forces."
 )
 
 CAPTION = (

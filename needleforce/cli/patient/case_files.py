@@ -4,7 +4,7 @@ Names that a user gives to structures of a segmentation, too: ``--structures``.
 """
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -124,39 +124,6 @@ def parse_structures(text: str | None) -> StructureNames:
     return names
 
 
-def require_known_names(
-    labels: Labels, confirmed: Collection[str], *, has_asked: bool
-) -> None:
-    """Refuse names that say nothing, of which nobody has said whether to pass them.
-
-    Args:
-        labels: The segmentation.
-        confirmed: Names that the user has said something of.
-        has_asked: Some structures were named that must stay clear; without any, one at
-            least must be known as an obstacle or as one at risk.
-
-    Raises:
-        CommandError: There are such names; it lists them.
-    """
-    is_warned = {
-        each.name: each.is_obstacle or each.is_risk for each in labels.structures
-    }
-    unknown = [
-        item.name
-        for item in labels.structures
-        if not (is_warned[item.name] or is_known(item.anatomy))
-        and item.name not in confirmed
-    ]
-    if not (any(is_warned.values()) or has_asked):
-        unknown = unknown or list(is_warned)
-    if unknown:
-        raise CommandError(
-            f"names that do not say what they are: {', '.join(unknown)}; expected for "
-            "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
-            f"it) or --structures {unknown[0]}=KIND, of {KINDS}"
-        )
-
-
 def read_touches(path: Path | None, unit: str | None) -> TouchFile:
     """Read what was touched; without a file nothing was.
 
@@ -214,15 +181,16 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
     return fields
 
 
-def case_of_plan(place: Path) -> PatientCase:
-    """Read CT and labels that a plan's file names.
+def case_of_plan(fields: Mapping[str, Any], folder: Path) -> PatientCase:
+    """Read CT and labels that a plan names.
+
+    Args:
+        fields: Of the plan's file.
+        folder: Where it lies.
 
     Raises:
-        CommandError: The file is no plan, or does not name them.
         needleforce.anatomy.VolumeError: They cannot be read any more.
     """
-    fields = read_plan_fields(place)
-    folder = place if place.is_dir() else place.parent
     structures = fields.get("structures") or None
     return read_case(
         folder / fields["ct"],

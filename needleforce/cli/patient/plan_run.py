@@ -21,6 +21,7 @@ from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE, SHOWN_VOXEL_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import PathLimits, SkinPath
+from needleforce.anatomy.volume import is_known
 from needleforce.cli.options import PathOptions, PointOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import (
@@ -228,6 +229,8 @@ def _names_to_avoid(
 ) -> tuple[str, ...]:
     """Return the names of the structures that must stay clear.
 
+    Where none is asked for, one at least must be known as an obstacle or at risk.
+
     Raises:
         CommandError: A bone is to be passed, or a name says nothing and nobody has said
             whether the needle may pass it.
@@ -240,13 +243,22 @@ def _names_to_avoid(
             f"--passable {', '.join(bones)}: a needle passes no bone or cartilage"
         )
     said = {target, *asked, *passed}
-    case_files.require_known_names(labels, said, has_asked=bool(asked))
-    usual = [
+    items = labels.structures
+    usual = [item.name for item in items if item.is_obstacle or item.is_risk]
+    unknown = [
         item.name
-        for item in labels.structures
-        if (item.is_obstacle or item.is_risk) and item.name not in said
+        for item in items
+        if item.name not in {*usual, *said} and not is_known(item.anatomy)
     ]
-    return (*asked, *usual)
+    if not (usual or asked):
+        unknown = unknown or [item.name for item in items]
+    if unknown:
+        raise CommandError(
+            f"names that do not say what they are: {', '.join(unknown)}; expected for "
+            "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
+            f"it) or --structures {unknown[0]}=KIND, of {case_files.KINDS}"
+        )
+    return (*asked, *(name for name in usual if name not in said))
 
 
 def _row(number: int, path: SkinPath) -> dict[str, str]:

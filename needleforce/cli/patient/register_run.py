@@ -80,7 +80,13 @@ def register_plan(
     residuals: list[LandmarkResidual] = []
     model_m = np.zeros((0, 3))
     if transform is None and landmark_file is not None and touch_file is not None:
-        touches_m = _require_touches(touches_m, landmarks_only=landmarks_only)
+        if landmarks_only:
+            touches_m = touches_m[:0]
+        elif len(touches_m) < MIN_TOUCHES:
+            raise CommandError(
+                f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or "
+                "more; --landmarks-only goes without, by the landmarks alone"
+            )
         model_m = _places_of(names, landmark_file, points, negate_xy=negate_xy)
         robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
         std_m = M_PER_MM * errors.landmark_std
@@ -104,7 +110,8 @@ def register_plan(
         motion = anatomy.read_transform(transform, transform_from, points.unit)
         std_m = M_PER_MM * transform_std_mm
         fit = _fit_of_transform(fields, motion.rotation, motion.translation_m, std_m)
-    labels = case_files.case_of_plan(place).labels
+    folder = place if place.is_dir() else place.parent
+    labels = case_files.case_of_plan(fields, folder).labels
     skin = labels.skin()
     if transform is None:
         touched_m = fit.to_model(touches_m)
@@ -130,7 +137,6 @@ def register_plan(
     rows = _rows(fit, residuals, distances_m, added)
     write_out(f"{aligned(rows.items())}{case_files.NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
-    folder = place if place.is_dir() else place.parent
     moved = {
         key: case_files.relative_path(folder / fields[key], output.parent)
         for key in ("ct", "labels", "structures")
@@ -140,16 +146,6 @@ def register_plan(
     write_out(f"{output}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
-
-
-def _require_touches(touches_m: Array, *, landmarks_only: bool) -> Array:
-    """Return the touches of the skin that are used; refuse too few, unless none is."""
-    if not landmarks_only and len(touches_m) < MIN_TOUCHES:
-        raise CommandError(
-            f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or more; "
-            "--landmarks-only goes without, by the landmarks alone"
-        )
-    return touches_m[:0] if landmarks_only else touches_m
 
 
 def _places_of(

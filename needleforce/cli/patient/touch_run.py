@@ -15,7 +15,6 @@ from needleforce.anatomy.markups import Markup, read_markup
 from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
-    ConnectedArm,
     open_arm,
     samples_until_stopped,
 )
@@ -65,10 +64,10 @@ def record_touches(
     names = wanted.names
     places_m: list[Array] = []
     lost: LinkError | None = None
-    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as (arm, model):
+    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as arm:
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
-            for touch in _touches(arm, model, options, contact_N):
+            for touch in _touches(arm, options, contact_N):
                 say(f"{_take(touch, places_m)}{_next(names, places_m)}")
                 if len(places_m) >= len(names) + count:
                     break
@@ -116,7 +115,7 @@ def _next(names: tuple[str, ...], places_m: list[Array]) -> str:
 @contextmanager
 def _open_touching_arm(
     name: str, robot: RobotOptions, options: ArmOptions, landmarks_m: Array
-) -> Iterator[ConnectedArm]:
+) -> Iterator[Any]:
     """Open the arm that a user names, or a simulated one that touches a plan's patient.
 
     Args:
@@ -127,24 +126,25 @@ def _open_touching_arm(
     """
     kind, _, plan = name.partition(":")
     if kind == "sim" and plan.endswith(".json"):
-        labels = case_files.case_of_plan(Path(plan)).labels
         fields = case_files.read_plan_fields(Path(plan))
+        labels = case_files.case_of_plan(fields, Path(plan).parent).labels
         with progress_bar("simulating"):
-            touching = touch_patient(fields, labels, landmarks_m)
-        yield ConnectedArm(touching.arm, touching.robot)
+            arm = touch_patient(fields, labels, landmarks_m)
+        yield arm
         return
-    with open_arm(name, robot, options.motor_constants) as connected:
-        yield connected
+    with open_arm(name, robot, options.motor_constants) as arm:
+        yield arm
 
 
 def _touches(
-    arm: Any, model: Robot, options: ArmOptions, contact_N: float
+    arm: Any, options: ArmOptions, contact_N: float
 ) -> Iterator[TipTouch | None]:
     """Yield touches as they come, None where the last one is undone."""
     key_s = 0.05  # time between two looks at the keyboard
-    sensor = VirtualForceSensor(model)
+    robot: Robot = arm.robot
+    sensor = VirtualForceSensor(robot)
     detector = TouchDetector(contact_N)
-    data = model.create_data()
+    data = robot.create_data()
     next_key_s = 0.0
     time_s = 0.0
     for sample in samples_until_stopped(arm, options, is_paced=False):
@@ -153,8 +153,8 @@ def _touches(
         wrench = sensor.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
-        pin.framesForwardKinematics(model.model, data, np.asarray(sample.q_rad))
-        tip_m = data.oMf[model.tool_frame_id].translation.copy()
+        pin.framesForwardKinematics(robot.model, data, np.asarray(sample.q_rad))
+        tip_m = data.oMf[robot.tool_frame_id].translation.copy()
         touch = detector.update(sample.dt_s, tip_m, wrench.force)
         if touch is not None:
             yield touch

@@ -163,7 +163,7 @@ def test_a_retracted_alarm_restores_the_plan():
     unmoved = (follower.memory, follower.state)
     follower.match(quiet._replace(rupture=alarm), 0.0125, None)
 
-    assert follower.memory.ruptures == ((5.0, 0.012),)
+    assert follower.memory.ruptures == (alarm,)
     assert follower.state != unmoved[1]
 
     # The depth may have been counted anew since.
@@ -177,7 +177,7 @@ def test_a_retracted_alarm_restores_the_plan():
         follower.match(quiet._replace(rupture=rupture), depth_m, None)
 
     reached = (follower.memory.ruptures, follower.memory.deepest_m)
-    assert reached == (((5.0, 0.012),), 0.0125)
+    assert reached == ((alarm,), 0.0125)
 
 
 @pytest.fixture

@@ -66,6 +66,7 @@ def test_page_and_next_commands_are_named(demo):
     ]
     assert "not a medical device" in printed
     assert "not a medical device" in page
+    assert "than in the README" in printed  # why frictions err by more
     assert {*cells(printed, 0), *cells(printed, 1)} <= {
         *re.findall(r">([^<]*)</td>", page)
     }
