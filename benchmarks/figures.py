@@ -268,11 +268,6 @@ def fill_pages(figures: dict[str, Any]) -> dict[Path, str]:
     return texts
 
 
-def read_figures() -> dict[str, Any]:
-    """Return the figures of the campaign that the pages show."""
-    return json.loads(STORED.read_bytes())
-
-
 def write_figures(figures: dict[str, Any]) -> None:
     """Write the figures to `figures.json` and into their pages."""
     pages = fill_pages(figures)

@@ -228,8 +228,10 @@ def evaluate(frame: pd.DataFrame, targets: Sequence[Target] = TARGETS) -> pd.Dat
                 "worst": f"{worst['scenario']}, seed {worst['seed']}",
             }
         )
-    columns = ["what", "at_least", "at_most", "value", "runs", "met", "worst"]
-    table = pd.DataFrame(evaluations, columns=columns)
+    table = pd.DataFrame(
+        evaluations,
+        columns=["what", "at_least", "at_most", "value", "runs", "met", "worst"],
+    )
     return table.sort_values("met", kind="stable", ignore_index=True)
 
 
@@ -283,12 +285,11 @@ def compare(old: pd.Series, new: pd.Series, kinds: pd.DataFrame) -> pd.DataFrame
     # 0.95 - 0.90 is larger than 0.05 by a rounding.
     rounding = 1e-9 * (before.abs() + after.abs() + best.abs())
     stays_undefined = kinds["undefined"].eq(True) & before.isna() & after.isna()
-    is_new = ~every.isin(old.index)
     change = np.select(
         [
             ~every.isin(new.index),
             ~np.isfinite(after) & ~stays_undefined,
-            is_new,
+            ~every.isin(old.index),
             stays_undefined,
             ~np.isfinite(before),
             worsening.abs() <= allowed + rounding,

@@ -137,8 +137,14 @@ def measure_path(
     gaps = not np.allclose(ends, begins, rtol=0.0, atol=1e-12) or bool(
         np.any(np.diff(ends) < 0.0)
     )
-    is_right = in_order(truth, layers, THICK_VOXELS * voxel_m)
-    return Measured(errors, scores, is_right, gaps, len(truth) - 1, seconds)
+    return Measured(
+        errors_voxels=errors,
+        scores=scores,
+        is_right=in_order(truth, layers, THICK_VOXELS * voxel_m),
+        has_gaps=gaps,
+        crossings=len(truth) - 1,
+        seconds=seconds,
+    )
 
 
 def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) -> bool:

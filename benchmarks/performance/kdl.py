@@ -86,10 +86,12 @@ def chain_numbers(robot: Robot) -> Array:
         body = model.inertias[k]
         turn = pin.computeJointJacobian(model, data, at_zero, k)[3:, k - 1]
         inertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        mass = [body.mass]
-        rotor = [model.armature[k - 1]]
         frame = (place.rotation.ravel(), place.translation, place.rotation @ turn)
-        rows.append(np.concatenate((*frame, mass, body.lever, inertia, rotor)))
+        rows.append(
+            np.concatenate(
+                (*frame, [body.mass], body.lever, inertia, [model.armature[k - 1]])
+            )
+        )
     tool = model.frames[robot.tool_frame_id].placement
     rows.append(np.concatenate((tool.rotation.ravel(), tool.translation, np.zeros(14))))
     return np.array(rows)
@@ -180,8 +182,7 @@ class PlainEstimator:
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
         self._wrench.renew_gain(q)
-        estimate = self._wrench.solve(residual, self._filter)
-        self.axial_N = estimate.axial
+        self.axial_N = self._wrench.solve(residual, self._filter).axial
 
 
 def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:

@@ -1,5 +1,6 @@
 """The figures of README.md and docs/reference/results.md come from one campaign."""
 
+import json
 import math
 
 import pandas as pd
@@ -7,12 +8,12 @@ import pytest
 
 from benchmarks.figures import (
     METHOD_NAMES,
+    STORED,
     Part,
     RowSpec,
     fill_figures,
     fill_line,
     fill_pages,
-    read_figures,
     read_specs,
     summarize_part,
 )
@@ -31,7 +32,8 @@ def delays(*values, **changes):
 
 
 def test_the_pages_show_the_figures_of_the_campaign():
-    for page, filled in fill_pages(read_figures()).items():
+    figures = json.loads(STORED.read_bytes())
+    for page, filled in fill_pages(figures).items():
         assert page.read_text(encoding="utf-8") == filled, page.name
 
 

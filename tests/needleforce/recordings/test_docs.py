@@ -1,5 +1,4 @@
-"""The pages on recordings and bags hold: their examples run, their tables are the
-code's."""
+"""The page on recordings holds: its examples run, its options are its mapping."""
 
 import doctest
 import re
@@ -9,10 +8,8 @@ import pytest
 
 from needleforce.recordings import CHANNELS, ColumnMapping, parse_column_spec, read_log
 
-DOCS = Path(__file__).parents[3] / "docs"
-PAGES = [DOCS / "reference" / "recordings.md", DOCS / "how-to" / "bags.md"]
-TEXT = PAGES[0].read_text(encoding="utf-8")
-BAGS = PAGES[1].read_text(encoding="utf-8")
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "recordings.md"
+TEXT = PAGE.read_text(encoding="utf-8")
 FILES = dict(
     re.findall(r"^```(?:csv|toml)\n# (\S+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 )
@@ -26,10 +23,8 @@ def _files_of_the_page(tmp_path, monkeypatch):
         (tmp_path / name).write_text(f"# {name}\n{content}", encoding="utf-8")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_sessions_give_what_the_pages_show(page):
-    text = page.read_text(encoding="utf-8")
-    session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+def test_the_sessions_give_what_the_page_shows():
+    session = doctest.DocTestParser().get_doctest(TEXT, {}, PAGE.name, str(PAGE), 0)
 
     assert len(session.examples) > 5
 
