@@ -247,7 +247,9 @@ class InsertionCourse:
 
     def state(self) -> CourseState:
         """Return what `restore` continues from; the plan has a state of its own."""
-        return CourseState(*(getattr(self, name) for name in CourseState._fields))
+        return CourseState(
+            self.zero, self.travel, self.time_s, self.insertion, self.channels
+        )
 
     def restore(self, state: CourseState, *, is_started: bool) -> None:
         """Continue from a state.
@@ -257,7 +259,10 @@ class InsertionCourse:
             is_started: Whether a valid sample had come.
         """
         self._count_depth_from(state.zero)
-        vars(self).update(state._asdict())
+        self.travel = state.travel
+        self.time_s = state.time_s
+        self.insertion = state.insertion
+        self.channels = state.channels
         self._is_started = is_started
 
     @property
