@@ -210,7 +210,7 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
         is_slicers: It is a ``.fcsv`` file: in millimetres.
     """
     text = "\n".join(lines)
-    stated = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
+    stated: dict[str, str] = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
     rows_of_text = [line for line in lines if line.strip() and line[0] != "#"]
     if "columns" in stated:
         rows_of_text.insert(0, stated["columns"])
@@ -234,6 +234,7 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
     frames |= {frame for frame in FRAMES if frame.lower() in beside}
     if len(units) > 1 or len(frames) > 1:
         raise ValueError(f"x, y and z are in {', '.join(sorted(units | frames))}")
+    usual_unit = "mm" if is_slicers else ""
     decimal_mark = "." if separator == "," else ","
     places = [
         [float(row[one].replace(decimal_mark, ".")) for one in (x, y, z)]
@@ -242,7 +243,7 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
     return PointList(
         names=[(row[names[0]] or "").strip() if names else "" for row in rows],
         places=np.array(places).reshape(len(rows), 3),
-        unit=units.pop() if units else "mm" if is_slicers else "",
+        unit=units.pop() if units else usual_unit,
         frame=frames.pop() if frames else "",
     )
 
