@@ -179,6 +179,10 @@ def _read_with_itk(path: Path) -> Volume:
         raise VolumeError(f"cannot read {path}: {reason}") from error
     finally:  # the DICOM library sets C, and Python's text files would be ASCII
         locale.setlocale(locale.LC_CTYPE, language)
+    if image.GetDimension() != 3:
+        raise VolumeError(
+            f"{path} has {image.GetDimension()} dimensions: expected a volume, with 3"
+        )
     axes_mm = np.array(image.GetDirection()).reshape(3, 3) * image.GetSpacing()
     origin_m = M_PER_MM * np.array(image.GetOrigin())
     grid = Grid(image.GetSize(), origin_m, M_PER_MM * axes_mm)

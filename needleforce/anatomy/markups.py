@@ -32,8 +32,11 @@ SCHEMA = (
 UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
 """Metres per unit of length."""
 
-FRAMES = {"LPS": np.ones(3), "RAS": RAS_TO_LPS, "0": RAS_TO_LPS, "1": np.ones(3)}
-"""Factors to LPS by the name of a frame, and by the number in old files."""
+FRAMES = {"LPS": np.ones(3), "RAS": RAS_TO_LPS}
+"""Factors to LPS by the name of a frame."""
+
+NUMBERED_FRAMES = {"0": "RAS", "1": "LPS"}
+"""Names of frames by their numbers in old files of 3D Slicer."""
 
 MALFORMED = (
     *(ValueError, LookupError, AttributeError, TypeError, RecursionError),
@@ -75,7 +78,8 @@ class PointList(NamedTuple):
         names: Of the points; empty where one has none.
         places: In the file's frame and unit, (n, 3).
         unit: Of length; empty where the file does not say it.
-        frame: Key of `FRAMES`; empty where the file does not say it.
+        frame: Key of `FRAMES`, or one that is not known; empty where the file does not
+            say it.
         is_line: They are the two ends of a line.
     """
 
@@ -98,44 +102,48 @@ def read_markup(
 
     Raises:
         VolumeError: Not readable, several lists, no points, a frame or a unit that is
-            not known or not said, or two points of one name.
+            not known or not said, or said differently in the file, or two points of one
+            name.
     """
     points = read_points(path)
-    to_lps = said(FRAMES, points.frame or (frame or "").upper(), "frame", path)
-    scale_m = said(UNITS_m, points.unit or unit, "unit", path)
+    to_lps = look_up(FRAMES, points.frame, (frame or "").upper(), "frame", path)
+    scale_m = look_up(UNITS_m, points.unit, unit or "", "unit", path)
     points_m = scale_m * to_lps * points.places
     names = tuple(name or str(n) for n, name in enumerate(points.names, 1))
-    if not names or len({*names}) < len(names) or not np.isfinite(points_m).all():
+    if not names or len({*names}) < len(names):
         raise VolumeError(
-            f"{path} holds the points {', '.join(names) or 'none'}: expected placed, "
-            "finite ones with a name each",
+            f"{path} holds the points {', '.join(names) or 'none'}: expected placed "
+            "ones with a name each",
             OTHER_POINTS,
         )
     return Markup(names, points_m, points.is_line)
 
 
-def said(
-    known: Mapping[str, Any], name: str | None, quantity: str, path: Path | str
+def look_up(
+    known: Mapping[str, Any], in_file: str, asked: str, quantity: str, path: Path | str
 ) -> Any:
     """Return what a name of a unit or a frame means.
 
     Args:
         known: Meanings by their names.
-        name: As the file or its user says it.
+        in_file: The name in the file; empty where the file does not say it.
+        asked: The name that the user says; empty if none.
         quantity: ``unit`` or ``frame``; an option of that name lets the user say it.
         path: The file.
 
     Raises:
-        VolumeError: Nobody says it, or it is not known.
+        VolumeError: Nobody says it, file and user contradict each other, or it is not
+            known.
     """
-    key = name or "not said"
-    if key not in known:
+    names = {in_file, asked} - {""}
+    if len(names) != 1 or not names <= known.keys():
         raise VolumeError(
-            f"{path}: the {quantity} is {key}: expected one of "
-            f"{', '.join(known)}, in the file (x_lps_mm) or by `--{quantity}`",
+            f"{path}: the {quantity} is {' and '.join(sorted(names)) or 'not said'}: "
+            f"expected one of {', '.join(known)}, in the file (x_lps_mm) or by "
+            f"`--{quantity}`",
             OTHER_POINTS,
         )
-    return known[key]
+    return known[names.pop()]
 
 
 def read_points(path: Path | str) -> PointList:
@@ -150,15 +158,20 @@ def read_points(path: Path | str) -> PointList:
             decimal commas.
 
     Raises:
-        VolumeError: Not readable, several lists, or no such table.
+        VolumeError: Not readable, several lists, no such table, one that states two
+            units or frames, or places that are not finite.
     """
     kind = Path(path).suffix.lower()
     try:
         content = Path(path).read_bytes()
         if kind == ".json":
-            return _parse_slicer_json(content)
-        lines = content.decode("utf-8-sig").splitlines()
-        return _parse_table(lines, is_slicers=kind == ".fcsv")
+            points = _parse_slicer_json(content)
+        else:
+            lines = content.decode("utf-8-sig").splitlines()
+            points = _parse_table(lines, is_slicers=kind == ".fcsv")
+        if not np.isfinite(points.places).all():
+            raise ValueError("places that are not finite")
+        return points
     except (OSError, StopIteration, *MALFORMED) as error:
         raise VolumeError(
             f"cannot read {path}: {error!r}; expected one list of points, or one line, "
@@ -179,11 +192,12 @@ def _parse_slicer_json(content: bytes) -> PointList:
         and point.get("positionStatus", "defined") not in unplaced
     ]
     places = np.array([one["position"] for one in placed], dtype=float)
+    frame = str(markup.get("coordinateSystem", ""))
     return PointList(
         names=[str(one.get("label") or "") for one in placed],
         places=places.reshape(len(placed), 3),
         unit=str(markup.get("coordinateUnits", "mm")),
-        frame=str(markup.get("coordinateSystem", "")),
+        frame=NUMBERED_FRAMES.get(frame, frame),
         is_line=markup.get("type") == "Line",
     )
 
@@ -196,7 +210,7 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
         is_slicers: It is a ``.fcsv`` file: in millimetres.
     """
     text = "\n".join(lines)
-    stated = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
+    stated: dict[str, str] = dict(re.findall(r"(?m)^#\s*(\w+)\s*=\s*(.*?)\s*$", text))
     rows_of_text = [line for line in lines if line.strip() and line[0] != "#"]
     if "columns" in stated:
         rows_of_text.insert(0, stated["columns"])
@@ -214,16 +228,23 @@ def _parse_table(lines: list[str], *, is_slicers: bool) -> PointList:
     if any(None in row for row in rows) and not is_slicers:
         raise ValueError("rows have more fields than the header")
     beside = words[x] | words[y] | words[z]
-    units = [unit for unit in UNITS_m if unit in beside]
-    frames = [frame for frame in FRAMES if frame.lower() in beside]
+    stated_frame = stated.get("CoordinateSystem", "").upper()
+    units = {stated.get("unit", ""), *(UNITS_m.keys() & beside)} - {""}
+    frames = {NUMBERED_FRAMES.get(stated_frame, stated_frame)} - {""}
+    frames |= {frame for frame in FRAMES if frame.lower() in beside}
     if len(units) > 1 or len(frames) > 1:
-        raise ValueError(f"x, y and z are in {', '.join(units + frames)}")
-    places = [[float(row[one].replace(",", ".")) for one in (x, y, z)] for row in rows]
+        raise ValueError(f"x, y and z are in {', '.join(sorted(units | frames))}")
+    usual_unit = "mm" if is_slicers else ""
+    decimal_mark = "." if separator == "," else ","
+    places = [
+        [float(row[one].replace(decimal_mark, ".")) for one in (x, y, z)]
+        for row in rows
+    ]
     return PointList(
         names=[(row[names[0]] or "").strip() if names else "" for row in rows],
         places=np.array(places).reshape(len(rows), 3),
-        unit=units[0] if units else stated.get("unit", "mm" if is_slicers else ""),
-        frame=frames[0] if frames else stated.get("CoordinateSystem", "").upper(),
+        unit=units.pop() if units else usual_unit,
+        frame=frames.pop() if frames else "",
     )
 
 

@@ -265,6 +265,7 @@ def _begin_at_tissue(labels: Labels, entry_m: Array, target: Array) -> Array:
     """Return the entry without air in front of it: skin lies between voxels."""
     max_gap_m = 3e-3  # so much air a found path may begin with
     first = labels.layers_along(entry_m, target)[0]
-    gap_m = first.exit_m if first.name == UNLABELLED else 0.0
+    if first.name != UNLABELLED or first.exit_m >= max_gap_m:
+        return entry_m
     way_m = target - entry_m
-    return entry_m + gap_m * (gap_m < max_gap_m) * way_m / np.linalg.norm(way_m)
+    return entry_m + first.exit_m * way_m / np.linalg.norm(way_m)

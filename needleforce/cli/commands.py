@@ -428,7 +428,7 @@ def ros2_command(
 def plan_command(
     *,
     ct: Annotated[Path, Parameter(metavar="DIR|FILE", group=LOG)],
-    labels: Annotated[Path, Parameter(metavar="DIR|FILE", group=LOG)],
+    labels: Annotated[Path, Parameter(metavar="FILE", group=LOG)],
     target: Annotated[str, Parameter(metavar="STRUCTURE|FILE", group=LOG)],
     structures: Annotated[
         str | None, Parameter(metavar="NAME=KIND,...|FILE", group=LOG)

@@ -438,7 +438,7 @@ class ArmOptions:
     Attributes:
         seconds: Stop after this time [s]; else at Ctrl-C or when the arm stops sending.
         motor_constants: For ur: joint torque per motor current of each joint [Nm/A]; a
-            UR sends no torques (docs/how-to/your-robot.md).
+            UR sends no torques (docs/how-to/arm-ur.md).
     """
 
     seconds: Annotated[

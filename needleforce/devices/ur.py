@@ -33,7 +33,7 @@ velocities so pass unchanged."""
 class UrArm(ClientArm):
     """A UR e-Series arm through RTDE; torques are motor currents times a constant.
 
-    Without the constants there are currents only: see docs/how-to/your-robot.md for
+    Without the constants there are currents only: see docs/how-to/arm-ur.md for
     what a UR can give. With ``takes_commands`` the client library runs a program on the
     controller, which has to be in remote control. A program that is not heard for 100
     ms ends, and the arm stands; `close` and the end of the process brake it.

@@ -36,7 +36,7 @@ ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
-    "docs/how-to/your-robot.md has those of one arm, and its friction"
+    "docs/how-to/arm-ur.md has those of one arm, and its friction"
 )
 
 

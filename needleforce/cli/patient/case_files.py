@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
-from needleforce.anatomy.markups import UNITS_m, read_points, said
+from needleforce.anatomy.markups import UNITS_m, look_up, read_points
 from needleforce.anatomy.volume import is_known
 from needleforce.cli.terminal import (
     OTHER_PLACE,
@@ -151,7 +151,7 @@ def read_touches(path: Path | None, unit: str | None) -> TouchFile:
         raise CommandError(
             f"{path} holds points of a CT: expected places in the robot's base"
         )
-    scale_m = said(UNITS_m, points.unit or unit, "unit", path)
+    scale_m = look_up(UNITS_m, points.unit, unit or "", "unit", path)
     places_m = (scale_m * points.places).tolist()
     touched = [*zip(points.names, map(tuple, places_m), strict=True)]
     return TouchFile(

@@ -179,7 +179,8 @@ def _find_target(name: str, labels: Labels, points: PointOptions) -> tuple[str, 
         labels: The segmentation.
         points: What a file of points may leave unsaid.
     """
-    if not name.endswith((".json", ".fcsv", ".csv")):
+    suffixes = (".json", ".fcsv", ".csv", ".tsv", ".txt")  # of what `read_points` reads
+    if Path(name).suffix.lower() not in suffixes:
         return name, np.array([labels.deepest_point_m(name)])
     markup = read_markup(name, points.unit, points.frame)
     if not markup.is_line:

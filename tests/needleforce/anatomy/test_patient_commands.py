@@ -268,6 +268,8 @@ def test_lists_of_other_programs_register_as_those_of_ours(capsys, fields):
     assert "--unit" in run(capsys, f"{unsaid} --frame ras")
     assert "--frame" in run(capsys, f"{unsaid} --unit mm")
     assert "base" in run(capsys, REGISTER.format("points.fcsv", "points.fcsv"))
+    Path("lost.csv").write_text("\n".join([*table, ",nan,0,0"]), encoding="utf-8")
+    assert "lost.csv" in run(capsys, REGISTER.format("points.fcsv", "lost.csv"))
 
 
 @pytest.mark.parametrize(
@@ -400,9 +402,11 @@ def test_a_point_is_a_target_and_a_line_a_path(capsys, fields):
     write_markup("point.mrk.json", "Fiducial", ["here"], ends_m[1:])
     write_markup("line.mrk.json", "Line", ["b", "a"], np.array([ends_m[1], outside_m]))
     x_mm, y_mm, z_mm = 1e3 * ends_m[1]
-    Path("point.csv").write_text(f"x_mm,y_mm,z_mm\n{x_mm},{y_mm},{z_mm}\n")
+    for name in ("point.csv", "P.TXT"):
+        Path(name).write_text(f"x_mm,y_mm,z_mm\n{x_mm},{y_mm},{z_mm}\n")
     for name, file in (
         ("table", "point.csv --frame lps"),
+        ("text", "P.TXT --frame lps"),
         ("point", "point.mrk.json"),
         ("line", "line.mrk.json"),
     ):

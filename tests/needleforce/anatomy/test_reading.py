@@ -232,11 +232,12 @@ def test_files_of_other_kinds_and_missing_ones_are_refused(tmp_path, name):
         # Their diagonals are 4.8 mm and 5.02 m.
         (read_volume, np.ones((4, 4, 4), np.uint8), 0.92, "millimetres"),
         (read_volume, np.ones((4, 4, 4), np.uint8), 966.0, "millimetres"),
-        (read_volume, np.ones((4, 4), np.uint8), 2.0, "space|three"),
+        (read_volume, np.ones((4, 4), np.uint8), 2.0, "space|three|dimensions"),
+        (read_labels, np.ones((4, 4), np.uint8), 2.0, "space|three|dimensions"),
         (read_volume, np.ones((40, 40, 1), np.uint8), 2.0, "three"),
     ],
 )
-@pytest.mark.parametrize("name", ["a.nrrd", "a.nii"])
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii", "a.mha"])
 def test_files_without_labels_or_a_volume_in_millimetres_are_refused(
     tmp_path, name, read, values, spacing_mm, why
 ):
@@ -550,7 +551,12 @@ TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
             [10, 20, 30.5],
         ),
         ("a.csv", "# unit = mm\n" + TABLE_OF_POINTS.replace("_mm", ""), [10, 20, 30.5]),
+        ("a.csv", "# unit = mm\n" + TABLE_OF_POINTS, [10, 20, 30.5]),
+        ("a.csv", "# unit = m\n" + TABLE_OF_POINTS, None),
+        ("a.csv", "# CoordinateSystem = 1\n" + TABLE_OF_POINTS, [10, 20, 30.5]),
+        ("a.csv", "# CoordinateSystem = RAS\n" + TABLE_OF_POINTS, None),
         ("a.csv", TABLE_OF_POINTS.replace("30.5", "30,5"), None),
+        ("a.csv", TABLE_OF_POINTS.replace("30.5", '"30,5"'), None),
         ("a.csv", TABLE_OF_POINTS.replace("30.5", ""), None),
         ("a.csv", TABLE_OF_POINTS.replace("30.5", "nan"), None),
         ("a.csv", TABLE_OF_POINTS.replace("y_lps_mm", "y_lps_m"), None),
@@ -583,8 +589,14 @@ def test_what_a_table_leaves_unsaid_is_asked_for_and_what_it_says_counts(tmp_pat
     with pytest.raises(VolumeError, match="--unit"):
         read_markup(path, frame="lps")
     np.testing.assert_allclose(read_markup(path, "m", "ras").points_m, [[-1, -2, 3]])
+    path.write_text("x.0,y.0,z.0\n1,2,3\n", encoding="utf-8")
+    np.testing.assert_allclose(read_markup(path, "m", "lps").points_m, [[1, 2, 3]])
     path.write_text(TABLE_OF_POINTS, encoding="utf-8")
-    np.testing.assert_allclose(read_markup(path, "m", "ras").points_m[1, 0], 1e-3)
+    np.testing.assert_allclose(read_markup(path, "mm", "lps").points_m[1, 0], 1e-3)
+    with pytest.raises(VolumeError, match="--unit"):
+        read_markup(path, "m", "lps")
+    with pytest.raises(VolumeError, match="--frame"):
+        read_markup(path, "mm", "ras")
 
 
 def transform(matrix, shift_mm=(10.0, 20.0, 30.0), centre_mm=(0.0, 0.0, 0.0)):

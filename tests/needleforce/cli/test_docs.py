@@ -13,6 +13,7 @@ import pytest
 from groundtruth import insert_needle
 from needleforce.cli import main
 from needleforce.recordings import read_table, write_table
+from residual import SensorWarning
 from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertion
 from urdf import MissingPackageError, example_robot_path, load_urdf
 
@@ -99,3 +100,9 @@ def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, c
     assert main(shlex.split(line)) == 0
     assert "friction N" in capsys.readouterr().out
     assert read_table("estimates.csv").columns
+
+
+def test_the_page_lists_every_warning_with_its_number():
+    (listed,) = re.findall(r"sum of the warnings: (.*?) \|", FILES_PAGE)
+
+    assert listed.split(", ") == [f"{one.value} {one}" for one in SensorWarning]
