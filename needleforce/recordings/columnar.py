@@ -242,7 +242,8 @@ def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
             require_size(item.nbytes, f"{path}: {name}")
             values = item[()].T if is_matlab else item[()]
             values = values.ravel() if 1 in values.shape else values
-            arrays.update({name: values} if _is_signal(values) else {})
+            if _is_signal(values):
+                arrays[name] = values
 
     with library.File(path) as file:
         file.visititems(visit)

@@ -300,9 +300,15 @@ def _read_channels(
         channel = request.channels[name]
         raw = [table.values(column) for column in unit.columns]
         for number in missing:
-            if any(_is_far_outside(values, number) for values in raw):
+            with_number = [values for values in raw if (values == number).any()]
+            if any(_is_far_outside(values, number) for values in with_number):
                 notes.append(f"{name}: {number:g}, far from all else, is no value")
                 raw = [np.where(values == number, np.nan, values) for values in raw]
+            elif with_number:
+                notes.append(
+                    f"{name}: {number:g} was kept as a number; many loggers write it "
+                    "where a value is missing"
+                )
 
         values = _values_in_si(raw, channel, unit)
         is_known = np.isfinite(values).any(axis=0)
@@ -323,15 +329,17 @@ def _read_channels(
 
 
 def _is_far_outside(values: Array, number: float) -> bool:
-    """Return whether a number stands in a column, further off than others from another.
+    """Return whether a number is further from all others than most of these spread.
 
     So far lies what a logger writes where it has no value; a force or a depth that
     really has such a value passes through those between.
     """
-    is_number = values == number
-    others = values[np.isfinite(values) & ~is_number]
-    distance = max(others.min() - number, number - others.max()) if others.size else 0.0
-    return bool(is_number.any()) and (not others.size or distance > np.ptp(others))
+    others = values[np.isfinite(values) & (values != number)]
+    if not others.size:
+        return True
+
+    low, high = np.quantile(others, (0.05, 0.95))  # what lies beyond may be spikes
+    return bool(np.abs(others - number).min() > high - low)
 
 
 def _values_in_si(
