@@ -194,8 +194,7 @@ def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
             is_bag_folder = whole == files and (path / METADATA).exists()
             readable += [path] if is_bag_folder else whole
 
-        types = standard_types()
-        with library.AnyReader(readable, default_typestore=types) as reader:
+        with library.AnyReader(readable, default_typestore=standard_types()) as reader:
             yield reader
 
 

@@ -295,11 +295,10 @@ def _read_channels(
         UnitError: Values are too large for a unit that was assumed.
     """
     measured: dict[str, Array] = {}
-    missing = request.mapping.knowledge.missing_values
     for name, unit in found.items():
         channel = request.channels[name]
         raw = [table.values(column) for column in unit.columns]
-        for number in missing:
+        for number in request.mapping.knowledge.missing_values:
             with_number = [values for values in raw if (values == number).any()]
             if any(_is_far_outside(values, number) for values in with_number):
                 notes.append(f"{name}: {number:g}, far from all else, is no value")
@@ -335,11 +334,9 @@ def _is_far_outside(values: Array, number: float) -> bool:
     really has such a value passes through those between.
     """
     others = values[np.isfinite(values) & (values != number)]
-    if not others.size:
-        return True
-
-    low, high = np.quantile(others, (0.05, 0.95))  # what lies beyond may be spikes
-    return bool(np.abs(others - number).min() > high - low)
+    # What lies beyond nine tenths may be spikes.
+    spread = np.ptp(np.quantile(others, (0.05, 0.95))) if others.size else 0.0
+    return bool(np.abs(others - number).min(initial=np.inf) > spread)
 
 
 def _values_in_si(
@@ -404,8 +401,9 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     large_count = np.count_nonzero(is_large)
     text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
     if large_count > 0.05 * len(sizes):  # fewer may be spikes
-        known = ", ".join(channel.units)
-        raise UnitError(f"{text}. The file states no unit of {known}")
+        raise UnitError(
+            f"{text}. The file states no unit of {', '.join(channel.units)}"
+        )
 
     return [f"{text}; rows beyond it: {large_count}"] if large_count else []
 

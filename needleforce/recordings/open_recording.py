@@ -194,8 +194,11 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
     has_rate = request.mapping.rate_hz is not None
     request = request.with_layout(table)
     time = request.find(table, channel) if has_rate else request.find_time(table)
-    stamps = time.columns if time else ()
-    columns = {n: values for n, values in table.columns.items() if n not in stamps}
+    columns = {
+        column: values
+        for column, values in table.columns.items()
+        if time is None or column not in time.columns
+    }
     if not columns:
         raise FormatError("expected time stamps and a signal")
     if not has_header:
@@ -209,8 +212,6 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         t_s, start_ns = read_times(table, channel, time)
         rows, t_s, notes = ordered_rows(t_s, first, channel, time)
         stamps_ns = to_nanoseconds(t_s, start_ns)
-    # That there is no header is no fault here: the file's name stands for it.
-    kept = [note for note in table.warnings if "no header" not in note]
     names = {old: old if old == name else f"{name}/{old}" for old in columns}
     return Table(
         columns={names[old]: values[rows] for old, values in columns.items()},
@@ -224,7 +225,11 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         },
         clocks=dict.fromkeys(names.values(), name),
         stamps_ns={name: stamps_ns},
-        warnings=tuple(f"{name}: {each}" for each in (*kept, *notes)),
+        warnings=tuple(
+            f"{name}: {note}"
+            for note in (*table.warnings, *notes)
+            if "no header" not in note  # the name of the file stands for it
+        ),
     )
 
 
