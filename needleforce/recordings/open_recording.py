@@ -206,15 +206,21 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         columns = {name: signal if signal.shape[1] > 1 else signal[:, 0]}
 
     first = next(iter(columns.values()))
-    rows = stamps_ns = np.arange(len(first))
-    notes: list[str] = []
+    stamps_ns = np.arange(len(first))
+    notes = (
+        ["column_1 counts as the time and was left out"]
+        if has_rate and not has_header
+        else []
+    )
     if time and not has_rate:
         t_s, start_ns = read_times(table, channel, time)
         rows, t_s, notes = ordered_rows(t_s, first, channel, time)
         stamps_ns = to_nanoseconds(t_s, start_ns)
+        columns = {column: values[rows] for column, values in columns.items()}
+
     names = {old: old if old == name else f"{name}/{old}" for old in columns}
     return Table(
-        columns={names[old]: values[rows] for old, values in columns.items()},
+        columns={names[old]: values for old, values in columns.items()},
         joint_names={
             new: table.joint_names[old]
             for old, new in names.items()

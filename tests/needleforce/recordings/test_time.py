@@ -249,6 +249,7 @@ def test_rows_of_several_files_are_numbered_at_a_rate(tmp_path, headers):
 
     np.testing.assert_allclose(log.t_s, T_S)
     np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
+    assert any("column_1" in text for text in log.warnings) is (headers == ("", ""))
     (tmp_path / "force.csv").write_text("\n".join(files["force.csv"][:-1]))
     with pytest.raises(LogError, match="rows"):
         read_log(tmp_path, mapped(rate_hz=100.0), required=["depth", "force"])
