@@ -122,16 +122,31 @@ def _recover(path: Path, target: Path) -> None:
     writer.finish()
 
 
-def _unpack(path: Path, target: Path) -> None:
-    """Unpack a file that was compressed with zstd; `FormatError` for a bomb."""
+def _unpack(path: Path, folder: Path) -> Path:
+    """Unpack a file that was compressed with zstd.
+
+    Args:
+        path: The file.
+        folder: Gets a folder with what was in it.
+
+    Returns:
+        The file unpacked.
+
+    Raises:
+        FormatError: It is a bomb, alone or with what is in the folder already.
+    """
     library = optional_library("zstandard", "compressed bags")
+    size_before = sum(each.stat().st_size for each in folder.glob("*/*"))
+    target = Path(mkdtemp(dir=folder), path.stem)
     with path.open("rb") as stream, target.open("wb") as unpacked:
         for chunk in library.ZstdDecompressor().read_to_iter(stream):
             unpacked.write(chunk)
-            require_size(unpacked.tell(), f"{path}: its bag")
+            require_size(size_before + unpacked.tell(), f"{path}: its bag")
+
+    return target
 
 
-def _whole_file(file: Path, folder: str, notes: list[str]) -> Path:
+def _whole_file(file: Path, folder: Path, notes: list[str]) -> Path:
     """Return a file of messages that is neither packed nor cut short.
 
     Args:
@@ -141,14 +156,14 @@ def _whole_file(file: Path, folder: str, notes: list[str]) -> Path:
     """
     magic = b"\x89MCAP0\r\n"
     if file.suffix == ".zstd":
-        packed = file
-        file = Path(mkdtemp(dir=folder), packed.stem)
-        _unpack(packed, file)
+        file = _unpack(file, folder)
 
     with file.open("rb") as stream:
-        is_mcap = stream.read(len(magic)) == magic
-        stream.seek(-len(magic), 2) if is_mcap else None
-        if not is_mcap or stream.read() == magic:
+        if stream.read(len(magic)) != magic:
+            return file
+
+        stream.seek(-len(magic), 2)
+        if stream.read() == magic:
             return file
 
     notes.append(f"{file.name} is cut short; it was read up to there")
@@ -174,13 +189,12 @@ def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
     ):
         for path in paths:
             files = _files_in(path) if path.is_dir() else [path]
-            whole = [_whole_file(file, folder, notes) for file in files]
+            whole = [_whole_file(file, Path(folder), notes) for file in files]
             # The metadata of a folder fit its files as they are.
             is_bag_folder = whole == files and (path / METADATA).exists()
             readable += [path] if is_bag_folder else whole
 
-        types = standard_types()
-        with library.AnyReader(readable, default_typestore=types) as reader:
+        with library.AnyReader(readable, default_typestore=standard_types()) as reader:
             yield reader
 
 

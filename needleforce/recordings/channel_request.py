@@ -106,8 +106,9 @@ class ChannelRequest:
         Raises:
             MappingError: A channel that is looked for does not exist.
         """
-        knowledge = self.mapping.knowledge
-        channels = [known_channel(name, knowledge) for name in self.requested]
+        channels = [
+            known_channel(name, self.mapping.knowledge) for name in self.requested
+        ]
         found = {channel.name: self.find(table, channel) for channel in channels}
         return {name: unit for name, unit in found.items() if unit is not None}
 

@@ -53,8 +53,9 @@ class Units(dict[str, float]):
             spellings = map(_without_signs, (name, *map(str, others)))
             self._by_spelling |= dict.fromkeys(spellings, name)
 
-        lower_case = {text.lower(): name for text, name in self._by_spelling.items()}
-        self._by_lower_case = lower_case
+        self._by_lower_case = {
+            text.lower(): name for text, name in self._by_spelling.items()
+        }
 
     @property
     def si(self) -> str:
@@ -159,9 +160,10 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def is_unit(self, text: str) -> bool:
         """Return whether a text is a unit, of a channel or of anything else."""
         is_other = text in self.other_units or text.lower() in self.other_units
-        quantities = self.quantities.items()
         return is_other or any(
-            units.find(text) for name, units in quantities if name != "code"
+            units.find(text)
+            for name, units in self.quantities.items()
+            if name != "code"
         )
 
 
@@ -240,8 +242,9 @@ def _convert(content: Mapping[str, Any]) -> Knowledge:
         spelled = entries[entry] if isinstance(entry, str) else entry
         return Units(spelled, content["case_matters"], words)
 
-    channels = content["channels"].items()
-    named = {name: {**channel, "name": name} for name, channel in channels}
+    named = {
+        name: {**channel, "name": name} for name, channel in content["channels"].items()
+    }
     return msgspec.convert({**content, "channels": named}, Knowledge, dec_hook=units_of)
 
 

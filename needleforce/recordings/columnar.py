@@ -142,8 +142,7 @@ def _numbers_of(cells: pd.Series) -> np.ndarray | None:
     lengths = {len(cell) for cell in cells if isinstance(cell, list | np.ndarray)}
     if lengths:
         width = max(lengths)
-        missing = [np.nan] * width
-        rows = [missing if cell is None else cell for cell in cells]
+        rows = [[np.nan] * width if cell is None else cell for cell in cells]
         is_signal = len(lengths) == 1 and width <= MAX_LIST_NUMBERS
         return np.array(rows, dtype=np.float64) if is_signal else None
 
@@ -189,8 +188,9 @@ def find_joint_groups(
             )
 
     groups: dict[str, dict[str, str]] = {}
-    fields = ("position", "velocity", "effort")
-    for (head, joint_of), field in product(joints.items(), fields):
+    for (head, joint_of), field in product(
+        joints.items(), ("position", "velocity", "effort")
+    ):
         expression = re.compile(rf"{re.escape(head + field)}[_.]?\[?(\d{{1,3}})\]?")
         matches = filter(None, map(expression.fullmatch, names))
         column_of = {match[1]: match[0] for match in matches}
@@ -242,7 +242,8 @@ def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
             require_size(item.nbytes, f"{path}: {name}")
             values = item[()].T if is_matlab else item[()]
             values = values.ravel() if 1 in values.shape else values
-            arrays.update({name: values} if _is_signal(values) else {})
+            if _is_signal(values):
+                arrays[name] = values
 
     with library.File(path) as file:
         file.visititems(visit)
@@ -265,8 +266,11 @@ def _flat(content: Mapping[str, Any], start: str = "") -> dict[str, np.ndarray]:
 def _read_tdms(path: Path) -> Table:
     """Return the channels of a TDMS file, with their units and the clock of each."""
     library = optional_library("nptdms", "TDMS files")
-    groups = library.TdmsFile.read(path).groups()
-    found = {f"{g.name}/{each.name}": each for g in groups for each in g.channels()}
+    found = {
+        f"{group.name}/{channel.name}": channel
+        for group in library.TdmsFile.read(path).groups()
+        for channel in group.channels()
+    }
     channels = {name: each for name, each in found.items() if _is_signal(each[:])}
     properties = {name: channel.properties for name, channel in channels.items()}
     # Either every channel has a clock, or one of them is the time.
@@ -286,6 +290,6 @@ def _stamps_of(channel: Any) -> np.ndarray:
     """Return the time stamps [ns] of a channel of a TDMS file, shape (n,)."""
     waveform = channel.properties
     start = np.datetime64(waveform.get("wf_start_time", 0), "ns")
-    since_s = waveform["wf_increment"] * np.arange(len(channel))
-    t_s = waveform.get("wf_start_offset", 0.0) + since_s
+    first_s = waveform.get("wf_start_offset", 0.0)
+    t_s = first_s + waveform["wf_increment"] * np.arange(len(channel))
     return to_nanoseconds(t_s, int(start.astype(np.int64)))

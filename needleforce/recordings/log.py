@@ -295,14 +295,19 @@ def _read_channels(
         UnitError: Values are too large for a unit that was assumed.
     """
     measured: dict[str, Array] = {}
-    missing = request.mapping.knowledge.missing_values
     for name, unit in found.items():
         channel = request.channels[name]
         raw = [table.values(column) for column in unit.columns]
-        for number in missing:
-            if any(_is_far_outside(values, number) for values in raw):
+        for number in request.mapping.knowledge.missing_values:
+            with_number = [values for values in raw if (values == number).any()]
+            if any(_is_far_outside(values, number) for values in with_number):
                 notes.append(f"{name}: {number:g}, far from all else, is no value")
                 raw = [np.where(values == number, np.nan, values) for values in raw]
+            elif with_number:
+                notes.append(
+                    f"{name}: {number:g} was kept as a number; many loggers write it "
+                    "where a value is missing"
+                )
 
         values = _values_in_si(raw, channel, unit)
         is_known = np.isfinite(values).any(axis=0)
@@ -323,15 +328,15 @@ def _read_channels(
 
 
 def _is_far_outside(values: Array, number: float) -> bool:
-    """Return whether a number stands in a column, further off than others from another.
+    """Return whether a number is further from all others than most of these spread.
 
     So far lies what a logger writes where it has no value; a force or a depth that
     really has such a value passes through those between.
     """
-    is_number = values == number
-    others = values[np.isfinite(values) & ~is_number]
-    distance = max(others.min() - number, number - others.max()) if others.size else 0.0
-    return bool(is_number.any()) and (not others.size or distance > np.ptp(others))
+    others = values[np.isfinite(values) & (values != number)]
+    # What lies beyond nine tenths may be spikes.
+    spread = np.ptp(np.quantile(others, (0.05, 0.95))) if others.size else 0.0
+    return bool(np.abs(others - number).min(initial=np.inf) > spread)
 
 
 def _values_in_si(
@@ -396,8 +401,9 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
     large_count = np.count_nonzero(is_large)
     text = f"{channel.name}: {names} {size}, expected at most {channel.at_most:.3g}"
     if large_count > 0.05 * len(sizes):  # fewer may be spikes
-        known = ", ".join(channel.units)
-        raise UnitError(f"{text}. The file states no unit of {known}")
+        raise UnitError(
+            f"{text}. The file states no unit of {', '.join(channel.units)}"
+        )
 
     return [f"{text}; rows beyond it: {large_count}"] if large_count else []
 

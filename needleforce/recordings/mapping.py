@@ -157,10 +157,12 @@ class ColumnMapping:
             channels.pop("time", None)
         elif "time" not in other.channels:
             rate_hz = self.rate_hz
-        joints = other.joints or self.joints
-        note = other.note or self.note
         return replace(
-            other, channels=channels, rate_hz=rate_hz, joints=joints, note=note
+            other,
+            channels=channels,
+            rate_hz=rate_hz,
+            joints=other.joints or self.joints,
+            note=other.note or self.note,
         )
 
     @property

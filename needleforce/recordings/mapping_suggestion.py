@@ -40,8 +40,12 @@ def suggest_mapping(
         "joints": list(known.joint_order or (joints if names_robot else ())),
         **dict.fromkeys(sorted(known.left_out), LEFT_OUT),
     }
-    title = f"Mapping of {paths_of(source)[0].name}; edit it, then: --mapping FILE"
-    lines = [comment_line(title), ""]
+    lines = [
+        comment_line(
+            f"Mapping of {paths_of(source)[0].name}; edit it, then: --mapping FILE"
+        ),
+        "",
+    ]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
     is_timed = known.rate_hz is not None or table.clocks
     names = [*channels] if is_timed else ["time", *channels]

@@ -57,9 +57,9 @@ def read_table(source: Source, request: ChannelRequest | None = None) -> Table:
     Args:
         source: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
             `.asc` or `.lvm`; in `.npz`, `.parquet`, `.feather`, `.h5`, `.hdf5`, `.mat`
-            or `.tdms`; a ROS bag: a file ending in `.mcap`, `.db3` or `.bag`, or a
-            folder of them; a folder with one file for each signal, or a list of such
-            files; or `-` for CSV on standard input.
+            or `.tdms`; a ROS bag: a file ending in `.mcap`, `.db3` (both also with
+            `.zstd`) or `.bag`, or a folder of them; a folder with one file for each
+            signal, or a list of such files; or `-` for CSV on standard input.
         request: what is read of a bag, and in which order joints are; all without.
 
     Raises:
@@ -128,6 +128,8 @@ def _read_file(path: Path, request: ChannelRequest) -> Table:
 def _read_files(paths: Sequence[Path], request: ChannelRequest) -> Table:
     """Return the signals of several files, each with the clock of its file.
 
+    If the mapping has a rate, rows are numbered, and there are no clocks.
+
     Raises:
         RecordingError: A file cannot be read, has no usable time stamps, or is called
             as another one.
@@ -158,13 +160,17 @@ def _read_files(paths: Sequence[Path], request: ChannelRequest) -> Table:
             warnings=(*whole.warnings, *table.warnings),
         )
 
+    if request.mapping.rate_hz is not None:
+        return replace(whole, clocks={}, stamps_ns={})
+
     return whole
 
 
 def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
     """Return the signals of one of several files, called after it, with its clock.
 
-    The columns of a file without a header are one signal, the first of them the time.
+    The columns of a file without a header are one signal; the time is the first of
+    them, or those that the mapping names.
 
     Args:
         table: The columns of the file.
@@ -174,40 +180,62 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
     Raises:
         RecordingError: There are no time stamps, or no signal beside them.
     """
-    if len(table.columns) < 2:
-        raise FormatError("expected time stamps and a signal")
-    if all(column.startswith("column_") for column in table.columns):
-        first, *others = table.columns.values()
-        time_name = "column_1" if "time" in request.mapping.channels else "time"
-        signal = others[0] if len(others) == 1 else np.column_stack(others)
-        columns = {time_name: first, name: signal}
-        table = replace(table, columns=columns, warnings=())
+    has_header = not all(column.startswith("column_") for column in table.columns)
+    if not has_header and "time" not in request.mapping.channels:
+        table = replace(
+            table,
+            columns={
+                "time" if column == "column_1" else column: values
+                for column, values in table.columns.items()
+            },
+        )
 
     channel = request.channels["time"]
-    time = request.with_layout(table).find_time(table)
-    t_s, start_ns = read_times(table, channel, time)
-    signals = {
-        column if column == name else f"{name}/{column}": column
-        for column in table.columns
-        if column not in time.columns
+    has_rate = request.mapping.rate_hz is not None
+    request = request.with_layout(table)
+    time = request.find(table, channel) if has_rate else request.find_time(table)
+    columns = {
+        column: values
+        for column, values in table.columns.items()
+        if time is None or column not in time.columns
     }
-    first = table.columns[next(iter(signals.values()))]
-    rows, t_s, notes = ordered_rows(t_s, first, channel, time)
+    if not columns:
+        raise FormatError("expected time stamps and a signal")
+    if not has_header:
+        signal = np.column_stack([*columns.values()])
+        columns = {name: signal if signal.shape[1] > 1 else signal[:, 0]}
+
+    first = next(iter(columns.values()))
+    stamps_ns = np.arange(len(first))
+    notes = (
+        ["column_1 counts as the time and was left out"]
+        if has_rate and not has_header
+        else []
+    )
+    if time and not has_rate:
+        t_s, start_ns = read_times(table, channel, time)
+        rows, t_s, notes = ordered_rows(t_s, first, channel, time)
+        stamps_ns = to_nanoseconds(t_s, start_ns)
+        columns = {column: values[rows] for column, values in columns.items()}
+
+    names = {old: old if old == name else f"{name}/{old}" for old in columns}
     return Table(
-        columns={new: table.columns[column][rows] for new, column in signals.items()},
+        columns={names[old]: values for old, values in columns.items()},
         joint_names={
-            new: table.joint_names[column]
-            for new, column in signals.items()
-            if column in table.joint_names
+            new: table.joint_names[old]
+            for old, new in names.items()
+            if old in table.joint_names
         },
         units={
-            new: table.units[column]
-            for new, column in signals.items()
-            if column in table.units
+            new: table.units[old] for old, new in names.items() if old in table.units
         },
-        clocks=dict.fromkeys(signals, name),
-        stamps_ns={name: to_nanoseconds(t_s, start_ns)},
-        warnings=tuple(f"{name}: {each}" for each in (*table.warnings, *notes)),
+        clocks=dict.fromkeys(names.values(), name),
+        stamps_ns={name: stamps_ns},
+        warnings=tuple(
+            f"{name}: {note}"
+            for note in (*table.warnings, *notes)
+            if "no header" not in note  # the name of the file stands for it
+        ),
     )
 
 

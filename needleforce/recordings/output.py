@@ -163,8 +163,11 @@ def write_table(
 
 def write_log(path: str | Path, log: Log) -> None:
     """Write a log's time and channels, in SI units; raises as `write_table`."""
-    columns = {"t_s": log.t_s, **log.channels}
-    write_table(path, columns, labels=TableLabels(start_ns=log.start_ns))
+    write_table(
+        path,
+        {"t_s": log.t_s, **log.channels},
+        labels=TableLabels(start_ns=log.start_ns),
+    )
 
 
 def check_writable(path: str | Path, *, overwrites: bool = True) -> None:

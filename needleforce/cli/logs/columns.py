@@ -33,7 +33,7 @@ def is_pipe(source: Sequence[str]) -> bool:
     return any(each == STANDARD_STREAM or Path(each).is_fifo() for each in source)
 
 
-def name_of(source: Sequence[str]) -> str:
+def name_log(source: Sequence[str]) -> str:
     """Return what a log is called in figures and on pages."""
     if source[0] == STANDARD_STREAM:
         return "standard input"
@@ -66,32 +66,34 @@ def parse_window(option: str, text: str, first_s: float) -> TareWindow:
     Args:
         option: Its name, for messages.
         text: Its value, START:END; a time with + counts from the first row, a missing
-            one is the log's.
+            start is the log's, as a missing end is but for a tare.
         first_s: Time of the log's first row [s].
 
     Raises:
         CommandError: The text names no window.
     """
     start, colon, end = (word.strip() for word in text.partition(":"))
-    words = (start or "+0", end or ("inf" if colon else ""))
+    is_tare = option == "--tare"
+    words = (start or "+0", end or ("inf" if colon and not is_tare else ""))
     try:
         times_s = [first_s * word.startswith("+") + float(word) for word in words]
     except ValueError as error:
-        advice = CHOOSE_TARE if option == "--tare" else ""
+        advice = CHOOSE_TARE if is_tare else ""
         raise CommandError(f"{option} {text}: expected START:END", advice) from error
     return TareWindow(*times_s)
 
 
-def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
+def add_constant_speed(log: Log, text: str, channel: Channel) -> Log:
     """Return a log with the depth of a needle at constant speed since its first row.
 
     Args:
-        log: Without a depth.
+        log: Without a depth and a speed.
         text: The speed, a number and its unit.
         channel: That of speeds, with their units.
 
     Raises:
-        CommandError: The text is no speed above zero.
+        CommandError: The text is no speed above zero, or the log has a depth or a
+            speed.
     """
     match = re.fullmatch(r"\s*(\d*\.?\d+(?:e[-+]?\d+)?)\s*(\D.*)", text, re.IGNORECASE)
     spelled = channel.units.find(match[2]) if match else None
@@ -101,6 +103,12 @@ def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
             f"--constant-speed {text}: expected a speed and its unit, one of "
             f"{', '.join(channel.units)}, as in 2.3mm/s"
         )
+    for unit in log.units:
+        if unit.channel in ("depth", "speed"):
+            raise CommandError(
+                f"--constant-speed {text}: the log has a {unit.channel}: {unit}",
+                f"Leave the option out, or that column: --{unit.channel} none",
+            )
     depth_m = speed_m_s * (log.t_s - log.t_s[0])
     speeds_m_s = np.full(len(log), speed_m_s)
     channels = {**log.channels, "depth_m": depth_m, "speed_m_s": speeds_m_s}
@@ -110,16 +118,8 @@ def at_constant_speed(log: Log, text: str, channel: Channel) -> Log:
 
 
 def needle_channels(columns: DepthColumns) -> tuple[str, ...]:
-    """Return the channels that `identify` cannot do without.
-
-    Raises:
-        CommandError: A depth is named beside the speed that stands for it.
-    """
-    if columns.constant_speed is None:
-        return ("depth", "force")
-    if columns.depth is not None:
-        raise CommandError("--constant-speed stands for a depth: leave --depth out")
-    return ("force",)
+    """Return the channels that `identify` cannot do without."""
+    return ("depth", "force") if columns.constant_speed is None else ("force",)
 
 
 def depth_channels(mapping: ColumnMapping) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from needleforce import recordings
 from needleforce.cli.logs import figures
 from needleforce.cli.logs.columns import (
     mapping_from_options,
-    name_of,
+    name_log,
     parse_window,
     robot_of_log,
 )
@@ -68,7 +68,7 @@ def run_forces(
     if sensor.tare is not None:
         window = parse_window("--tare", sensor.tare, float(log.t_s[0]))
     try:
-        with progress_bar(name_of(source)) as progress:
+        with progress_bar(name_log(source)) as progress:
             replay = replay_sensor(
                 log,
                 model,
@@ -260,10 +260,15 @@ def _compare_with_sensor(replay: SensorReplay) -> str:
     difference.
     """
     log = replay.log
-    if "force_N" not in log or replay.window is None:
+    if "force_N" not in log:
         return ""
+    if replay.window is None:
+        return "not compared: no tare"
     is_tare = (log.t_s >= replay.window.start_s) & (log.t_s <= replay.window.end_s)
-    zero_N = float(np.nanmean(log["force_N"][is_tare]))
+    is_zero = is_tare & np.isfinite(log["force_N"])
+    if not is_zero.any():
+        return "not compared: it has no value during the tare"
+    zero_N = float(np.mean(log["force_N"][is_zero]))
     differences_N = replay.rows["axial_N"].to_numpy() - (log["force_N"] - zero_N)
     is_ok = (replay.rows["force_status"] == STATUS_CODES[Status.OK]).to_numpy()
     compared_N = differences_N[is_ok & ~is_tare & np.isfinite(differences_N)]

@@ -10,7 +10,7 @@ import pandas as pd
 from needleforce import plots, recordings
 from needleforce.cli.logs import columns as log_columns
 from needleforce.cli.logs import figures, layers
-from needleforce.cli.logs.columns import name_of
+from needleforce.cli.logs.columns import name_log
 from needleforce.cli.logs.forces import add_forces, find_doubts, run_forces
 from needleforce.cli.logs.result import Draw, Result, save
 from needleforce.cli.options import (
@@ -61,7 +61,7 @@ def force(
         return 0
     check_outputs(source, output)
     replay = run_forces(source, robot, sensor, columns)
-    name = name_of(source)
+    name = name_log(source)
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1]
     if replay.config.axes != "base":
@@ -89,7 +89,7 @@ def check(
         The exit code: `DOUBTFUL` where something is.
     """
     replay = run_forces(source, robot, sensor, columns)
-    result = Result(log=name_of(source), title="Forces")
+    result = Result(log=name_log(source), title="Forces")
     add_forces(result, replay)
     write_out(result.json() if as_json else result.text())
     is_doubtful = (
@@ -121,7 +121,7 @@ def identify(
         return 0
     check_outputs(source, output)
     found = run_layers(source, columns, options)
-    name = name_of(source)
+    name = name_log(source)
     labels = TableLabels(
         prefix="/needleforce/identification", start_ns=found.log.start_ns
     )
@@ -143,13 +143,13 @@ def run_layers(
         source,
         mapping,
         required=log_columns.needle_channels(columns),
-        optional=log_columns.depth_channels(mapping),
+        optional=("depth", *log_columns.depth_channels(mapping)),
     )
     if columns.constant_speed is not None:
         speed = mapping.knowledge.channels["speed"]
-        log = log_columns.at_constant_speed(log, columns.constant_speed, speed)
+        log = log_columns.add_constant_speed(log, columns.constant_speed, speed)
     warn(log.warnings)
-    with progress_bar(name_of(source)) as progress:
+    with progress_bar(name_log(source)) as progress:
         found = layers.identify_layers(log, options, progress)
     warn(found.warnings)
     return found
@@ -175,17 +175,23 @@ def report(
     has_joints = log_columns.has_channels(
         source, mapping, joint_channels, needle_channels
     )
+    if has_joints and columns.constant_speed is not None:
+        raise CommandError(
+            f"--constant-speed: {name_log(source)} has joint positions and torques, "
+            "and the depth is the travel of its tool; leave it out"
+        )
     loaded = None
     if plan is not None:
         from needleforce.cli.session_parts import load_plan
 
         if not has_joints:
             raise CommandError(
-                f"--plan {plan}: {name_of(source)} has no joint positions and torques, "
-                "so that it is not known where its needle was; give the log of the arm"
+                f"--plan {plan}: {name_log(source)} has no joint positions and "
+                "torques, so that it is not known where its needle was; give the log "
+                "of the arm"
             )
         loaded = load_plan(plan, is_past=True)
-    result = Result(log=name_of(source), title="Forces" if has_joints else "Layers")
+    result = Result(log=name_log(source), title="Forces" if has_joints else "Layers")
     _refuse_harm(source, {f"DIR ({plots.PAGE})": folder / plots.PAGE})
     with plots.whole_folder(folder) as draft:
         if has_joints:

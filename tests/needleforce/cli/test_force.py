@@ -254,12 +254,23 @@ def test_a_named_force_is_compared_in_its_unit(lwr, run):
     columns = insertion(lwr)
     axial_N = np.where(columns["t_s"] > CONTACT_S, AXIAL_N, 0.0)
     _, summary, _ = run(columns | {"cell": -1e3 * axial_N}, *TARE)
-    assert "force sensor" not in summary
+    assert "force sensor"[:11] not in summary
     _, summary, _ = run(
         columns | {"cell": 250.0 - 1e3 * axial_N}, *TARE, "--force", "cell:mN:-1"
     )
 
     assert float(summary["force sensor"[:11]].split()[0]) < 0.1 * AXIAL_N
+
+
+@pytest.mark.parametrize(
+    ("options", "start_s"), [(["--no-tare"], 0.0), (TARE, 2.6)], ids=["none", "nan"]
+)
+def test_why_a_sensor_was_not_compared_is_said(lwr, run, options, start_s):
+    columns = insertion(lwr)
+    force_N = np.where(columns["t_s"] < start_s, np.nan, 1.0)
+    _, summary, _ = run(columns | {"cell": force_N}, *options, "--force", "cell:N")
+
+    assert "tare" in summary["force sensor"[:11]]
 
 
 def check(tmp_path, capsys, columns, *options):

@@ -131,6 +131,8 @@ def test_a_constant_speed_stands_for_a_depth(tmp_path, capsys, speed):
         ("--constant-speed 0mm/s", "0mm/s"),
         ("--constant-speed 2kg", "2kg"),
         ("--constant-speed 2mm/s --depth depth_m", "--depth"),
+        ("--constant-speed 2mm/s", "--depth"),
+        ("--constant-speed 2mm/s --depth none", "--speed"),
         ("--between 4", "START:END"),
         ("--between +900:", "+900:"),
     ],

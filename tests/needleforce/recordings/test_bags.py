@@ -109,9 +109,13 @@ def test_a_bag_compressed_as_a_file_is_unpacked(tmp_path, monkeypatch):
         for name, values in plain.channels.items():
             np.testing.assert_array_equal(read[name], values)
 
-    monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", 1 << 12)
-    with pytest.raises(FormatError, match="limit"):
-        read_log(packed)
+    size = data_file(tmp_path / "plain").stat().st_size
+    monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", size)
+    read_log(file)
+    for source in ([file, file], packed):
+        with pytest.raises(FormatError, match="limit"):
+            read_log(source)
+        monkeypatch.setattr("needleforce.recordings.errors.MAX_BYTES", size - 1)
 
 
 def test_efforts_that_no_message_holds_are_named(tmp_path):

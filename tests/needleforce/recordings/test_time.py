@@ -228,6 +228,53 @@ def test_stamps_of_files_without_a_header_have_the_unit_of_the_mapping(tmp_path)
     np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
 
 
+def test_stamps_of_files_without_a_header_may_be_in_two_columns(tmp_path):
+    for name in ("force", "depth"):
+        rows = np.column_stack([T_S // 1.0, np.rint(1e9 * (T_S % 1.0)), 0.1 * FORCE_N])
+        np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.17g")
+    spec = parse_column_spec("column_1:s+column_2:ns", CHANNELS["time"])
+    log = read_log(tmp_path, mapped(time=spec), required=["depth", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S, atol=1e-9)
+    np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
+
+
+@pytest.mark.parametrize("headers", [("t_s,depth_m", "t_s,force_N"), ("", "")])
+def test_rows_of_several_files_are_numbered_at_a_rate(tmp_path, headers):
+    rows = [f"0,{force_N / 10!r}" for force_N in FORCE_N.tolist()]
+    files = {"depth.csv": [headers[0], *rows], "force.csv": [headers[1], *rows]}
+    for name, lines in files.items():
+        (tmp_path / name).write_text("\n".join(lines))
+    log = read_log(tmp_path, mapped(rate_hz=100.0), required=["depth", "force"])
+
+    np.testing.assert_allclose(log.t_s, T_S)
+    np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
+    assert any("column_1" in text for text in log.warnings) is (headers == ("", ""))
+    (tmp_path / "force.csv").write_text("\n".join(files["force.csv"][:-1]))
+    with pytest.raises(LogError, match="rows"):
+        read_log(tmp_path, mapped(rate_hz=100.0), required=["depth", "force"])
+
+
+@pytest.mark.parametrize("header", ["sec,nanosec", "t_s"])
+def test_a_file_of_stamps_alone_is_refused_by_name(tmp_path, header):
+    write_table(tmp_path / "cell.csv", {"t_s": T_S, "force_N": FORCE_N})
+    rows = [",".join(f"{k}" for _ in header.split(",")) for k in range(9)]
+    (tmp_path / "stamps.csv").write_text("\n".join([header, *rows]))
+    with pytest.raises(FormatError, match=r"stamps\.csv"):
+        read_log(tmp_path, required=["force"])
+
+
+def test_rows_left_out_of_a_file_without_a_header_are_a_warning(tmp_path):
+    for name in ("force", "depth"):
+        rows = [f"{t_s},{t_s / 10}" for t_s in T_S]
+        rows[9] += ",7" if name == "depth" else ""
+        (tmp_path / f"{name}.csv").write_text("\n".join(rows))
+    said = read_log(tmp_path, required=["depth", "force"]).warnings
+
+    assert any(text.startswith("depth:") for text in said)
+    assert not any("header" in text for text in said)
+
+
 def test_a_row_number_is_no_time_stamp(tmp_path):
     for name in ("force_N", "depth_mm"):
         rows = [f"{k},{t_s},{t_s / 10}" for k, t_s in enumerate(T_S)]
