@@ -1,6 +1,7 @@
 """Time stamps of a log: their order, what is left out, what is refused."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from needleforce.recordings import (
@@ -148,10 +149,9 @@ def test_a_whole_stamp_beside_its_parts_is_taken(tmp_path):
 
 def test_rows_of_two_clocks_in_one_table_are_one_log(tmp_path):
     is_force = np.arange(ROWS) % 3 != 0
-    depth_mm = 20.0 * T_S
     rows = {
         "t_s": T_S,
-        "depth_mm": np.where(is_force, np.nan, depth_mm),
+        "depth_mm": np.where(is_force, np.nan, 20.0 * T_S),
         "force_N": np.where(is_force, FORCE_N, np.nan),
     }
     path = tmp_path / "log.csv"
@@ -164,16 +164,13 @@ def test_rows_of_two_clocks_in_one_table_are_one_log(tmp_path):
 
     pause = (T_S > 1.0) & (T_S < 1.5)
     write_table(path, {**rows, "depth_mm": np.where(pause, np.nan, rows["depth_mm"])})
-    in_pause = (log.t_s > 1.0) & (log.t_s < 1.5)
     depth_m = read_log(path, required=["depth", "force"])["depth_m"]
-    assert np.isnan(depth_m[in_pause]).all()
+    assert np.isnan(depth_m[(log.t_s > 1.0) & (log.t_s < 1.5)]).all()
 
 
 def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
     q_rad = np.column_stack([T_S, 2.0 * T_S])
     shifted_s = T_S + 0.0004
-    folder = tmp_path / "run"
-    folder.mkdir()
     files = {
         "gel_7_Joint_Positions.dat": (T_S, q_rad),
         "gel_7_Joint_Torques.dat": (shifted_s, 3.0 * q_rad + 5.0),
@@ -183,23 +180,21 @@ def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
         ),
     }
     for name, (t_s, values) in files.items():
-        np.savetxt(folder / name, np.column_stack([t_s, values]), delimiter=",")
-    log = read_log(folder, required=["q", "tau"], optional=["force"])
+        np.savetxt(tmp_path / name, np.column_stack([t_s, values]), delimiter=",")
+    log = read_log(tmp_path, required=["q", "tau"], optional=["force"])
 
     np.testing.assert_allclose(log.t_s, shifted_s, atol=1e-9)
     np.testing.assert_allclose(log["tau_Nm"], 3.0 * q_rad + 5.0)
-    inner = slice(0, -10)
-    expected = np.column_stack([shifted_s, 2.0 * shifted_s])
-    np.testing.assert_allclose(log["q_rad"][inner], expected[inner], atol=1e-9)
-    np.testing.assert_allclose(-log["force_N"][inner], shifted_s[inner], atol=1e-9)
+    expected = np.column_stack([shifted_s, 2.0 * shifted_s, -shifted_s])
+    found = np.column_stack([log["q_rad"], log["force_N"]])
+    np.testing.assert_allclose(found[:-10], expected[:-10], atol=1e-9)
     assert np.isnan(log["force_N"][-9:]).all()
 
-    paths = sorted(folder.iterdir())
+    paths = sorted(tmp_path.iterdir())
     same = read_log(paths, required=["q", "tau"], optional=["force"])
     for name, values in log.channels.items():
         np.testing.assert_array_equal(same[name], values)
-    named = read_log(paths, required=["q", "tau"], named=["force", "depth"])
-    assert "force_N" in named
+    assert "force_N" in read_log(paths, required=["q", "tau"], named=["force"])
     assert "force_N" not in read_log(paths[1:], required=["q", "tau"], named=["force"])
 
 
@@ -209,31 +204,28 @@ def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
     ids=["bursts", "clock set back", "rounded", "never advances", "nanoseconds"],
 )
 def test_the_stamps_of_every_file_are_judged(tmp_path, t_s):
-    files = {"force.dat": T_S[: len(t_s)], "depth.dat": t_s}
-    for name, stamps in files.items():
+    for name, stamps in (("force.dat", T_S[: len(t_s)]), ("depth.dat", t_s)):
         rows = np.column_stack([stamps, np.sin(np.arange(len(stamps)))])
         np.savetxt(tmp_path / name, rows, delimiter=";")
     with pytest.raises((LogError, UnitError), match=r"depth\.dat"):
         read_log(tmp_path, required=["depth", "force"])
 
 
-def test_stamps_of_files_without_a_header_have_the_unit_of_the_mapping(tmp_path):
+@pytest.mark.parametrize(
+    ("time", "stamps"),
+    [
+        ("column_1:ms", [1e3 * T_S]),
+        ("column_1:s+column_2:ns", [T_S // 1.0, np.rint(1e9 * (T_S % 1.0))]),
+    ],
+)
+def test_stamps_of_files_without_a_header_are_as_the_mapping_says(
+    tmp_path, time, stamps
+):
     for name in ("force", "depth"):
-        rows = np.column_stack([1e3 * T_S, 0.1 * FORCE_N])
-        np.savetxt(tmp_path / f"{name}.txt", rows)
-    spec = parse_column_spec("column_1:ms", CHANNELS["time"])
-    log = read_log(tmp_path, mapped(time=spec), required=["depth", "force"])
-
-    np.testing.assert_allclose(log.t_s, T_S, atol=1e-9)
-    np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
-
-
-def test_stamps_of_files_without_a_header_may_be_in_two_columns(tmp_path):
-    for name in ("force", "depth"):
-        rows = np.column_stack([T_S // 1.0, np.rint(1e9 * (T_S % 1.0)), 0.1 * FORCE_N])
+        rows = np.column_stack([*stamps, 0.1 * FORCE_N])
         np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.17g")
-    spec = parse_column_spec("column_1:s+column_2:ns", CHANNELS["time"])
-    log = read_log(tmp_path, mapped(time=spec), required=["depth", "force"])
+    mapping = mapped(time=parse_column_spec(time, CHANNELS["time"]))
+    log = read_log(tmp_path, mapping, required=["depth", "force"])
 
     np.testing.assert_allclose(log.t_s, T_S, atol=1e-9)
     np.testing.assert_allclose(log["depth_m"], 0.1 * FORCE_N)
@@ -275,17 +267,6 @@ def test_rows_left_out_of_a_file_without_a_header_are_a_warning(tmp_path):
     assert not any("header" in text for text in said)
 
 
-def test_a_row_number_is_no_time_stamp(tmp_path):
-    for name in ("force_N", "depth_mm"):
-        rows = [f"{k},{t_s},{t_s / 10}" for k, t_s in enumerate(T_S)]
-        path = tmp_path / f"{name[:5]}.csv"
-        path.write_text("\n".join([f",time,{name}", *rows]))
-    log = read_log(tmp_path, required=["depth", "force"])
-
-    np.testing.assert_allclose(log.t_s, T_S)
-    np.testing.assert_allclose(log["force_N"], T_S / 10)
-
-
 def test_files_that_are_called_alike_are_refused(tmp_path):
     paths = [tmp_path / name for name in ("force.dat", "force.csv")]
     for path in paths:
@@ -297,19 +278,17 @@ def test_files_that_are_called_alike_are_refused(tmp_path):
 def test_a_bag_beside_a_file_is_one_log(tmp_path):
     write_table(tmp_path / "arm.mcap", {"t_s": T_S, "q_rad": np.stack([T_S, T_S], 1)})
     write_table(tmp_path / "cell.csv", {"t_s": T_S + 0.001, "force_N": FORCE_N})
-    paths = [tmp_path / "arm.mcap", tmp_path / "cell.csv"]
-    log = read_log(paths, required=["q", "force"])
+    log = read_log(sorted(tmp_path.iterdir()), required=["q", "force"])
 
     np.testing.assert_allclose(log.t_s, T_S + 0.001, atol=1e-9)
     np.testing.assert_allclose(log["q_rad"][:-1, 1], log.t_s[:-1], atol=1e-9)
 
 
 def test_files_with_headers_in_a_folder_need_no_layout(tmp_path):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    write_table(folder / "stage.csv", {"time_ms": 1e3 * T_S, "depth_mm": 20.0 * T_S})
-    write_table(folder / "cell.csv", {"time_s": T_S[1:-1], "force_N": FORCE_N[1:-1]})
-    log = read_log(folder, required=["depth", "force"])
+    stage = pd.DataFrame({"time_ms": 1e3 * T_S, "depth_mm": 20.0 * T_S})
+    stage.to_csv(tmp_path / "stage.csv")  # its first column numbers the rows
+    write_table(tmp_path / "cell.csv", {"time_s": T_S[1:-1], "force_N": FORCE_N[1:-1]})
+    log = read_log(tmp_path, required=["depth", "force"])
 
     np.testing.assert_allclose(log["depth_m"], 0.02 * T_S[1:-1])
     np.testing.assert_array_equal(log["force_N"], FORCE_N[1:-1])
