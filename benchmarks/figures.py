@@ -180,7 +180,7 @@ def show_mark(spec: RowSpec, ours: Sequence[float]) -> str:
         return "met"
     if len(judged) == 1:
         return "**missed**"
-    ordinals = ("first", "second", "third")
+    ordinals = ("first", "second", "third", "fourth")
     missed = [ordinals[k] for k, is_met in enumerate(judged) if not is_met]
     return f"**missed** ({', '.join(missed)})"
 

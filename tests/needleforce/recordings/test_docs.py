@@ -1,12 +1,10 @@
-"""The page on recordings holds: its examples run, its options are its mapping."""
+"""The page on recordings holds: its examples run."""
 
 import doctest
 import re
 from pathlib import Path
 
 import pytest
-
-from needleforce.recordings import CHANNELS, ColumnMapping, parse_column_spec, read_log
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "recordings.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -32,16 +30,3 @@ def test_the_sessions_give_what_the_page_shows():
     doctest.DocTestRunner(verbose=False).run(session, out=differences.append)
 
     assert "".join(differences) == ""
-
-
-def test_the_pages_options_equal_its_mapping():
-    (line,) = re.findall(r"^needleforce identify robot.csv (.*)$", TEXT, re.MULTILINE)
-    options = re.findall(r"--(\w+) (\S+)", line)
-    specs = {name: parse_column_spec(text, CHANNELS[name]) for name, text in options}
-    log = read_log(
-        "robot.csv", ColumnMapping(channels=specs), required=["depth", "force"]
-    )
-
-    assert log["force_N"].tolist() == [2.5, 2.5]
-    assert log["depth_m"].tolist() == [0.09, 0.09]
-    assert log.t_s[0] == 0.001
