@@ -148,7 +148,10 @@ class Ros2Arm(GuardedArm):
         )
 
     def _read(self, wait_s: float) -> ArmReading | None:
-        self._executor.spin_once(timeout_sec=wait_s)
+        # Those that came while the controller was looked for go first: if each waited
+        # for a new one, every reading would stay as late as the first.
+        if not self._readings:
+            self._executor.spin_once(timeout_sec=wait_s)
         return self._readings.popleft() if self._readings else None
 
     def _place(self) -> str:
