@@ -3,8 +3,8 @@
 `read_log` turns a file (CSV, npz, Parquet, Feather, ROS bag) into a `Log` in SI units;
 `write_table` and `write_log` write results.
 
-Reading order: `open_recording`, `table`, `channels`, `column_names`, `mapping`,
-`channel_request`, `log`. The formats: `text_file`, `columnar`, `bag_file`.
+Reading order: `open_recording`, `table`, `channels`, `mapping`, `channel_request`,
+`log`. The formats: `text_file`, `columnar`, `bag_file`.
 """
 
 from needleforce.recordings.channel_request import ChannelRequest as ChannelRequest
@@ -26,11 +26,11 @@ from needleforce.recordings.mapping import (
     load_mapping as load_mapping,
     parse_column_spec as parse_column_spec,
 )
-from needleforce.recordings.mapping_suggestion import suggest_mapping as suggest_mapping
 from needleforce.recordings.open_recording import (
     columns_of as columns_of,
     read_log as read_log,
     read_table as read_table,
+    suggest_mapping as suggest_mapping,
 )
 from needleforce.recordings.output import (
     check_outputs as check_outputs,

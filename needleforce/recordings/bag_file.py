@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
     FormatError,
+    UnpackedSize,
     damage_errors,
     file_errors,
     optional_library,
-    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
@@ -122,41 +122,30 @@ def _recover(path: Path, target: Path) -> None:
     writer.finish()
 
 
-def _unpack(path: Path, folder: Path) -> Path:
-    """Unpack a file that was compressed with zstd.
-
-    Args:
-        path: The file.
-        folder: Gets a folder with what was in it.
-
-    Returns:
-        The file unpacked.
-
-    Raises:
-        FormatError: It is a bomb, alone or with what is in the folder already.
-    """
-    library = optional_library("zstandard", "compressed bags")
-    size_before = sum(each.stat().st_size for each in folder.glob("*/*"))
-    target = Path(mkdtemp(dir=folder), path.stem)
-    with path.open("rb") as stream, target.open("wb") as unpacked:
-        for chunk in library.ZstdDecompressor().read_to_iter(stream):
-            unpacked.write(chunk)
-            require_size(size_before + unpacked.tell(), f"{path}: its bag")
-
-    return target
-
-
-def _whole_file(file: Path, folder: Path, notes: list[str]) -> Path:
+def _whole_file(
+    file: Path, folder: Path, notes: list[str], unpacked: UnpackedSize
+) -> Path:
     """Return a file of messages that is neither packed nor cut short.
 
     Args:
         file: As it was found.
         folder: Gets what is unpacked, or what is left of a file that was cut short.
         notes: Get one on a file that was.
+        unpacked: Counts what is unpacked.
+
+    Raises:
+        FormatError: The recording is too large.
     """
     magic = b"\x89MCAP0\r\n"
     if file.suffix == ".zstd":
-        file = _unpack(file, folder)
+        library = optional_library("zstandard", "compressed bags")
+        target = Path(mkdtemp(dir=folder), file.stem)
+        with file.open("rb") as packed, target.open("wb") as stream:
+            for chunk in library.ZstdDecompressor().read_to_iter(packed):
+                unpacked.add(len(chunk), file)
+                stream.write(chunk)
+
+        file = target
 
     with file.open("rb") as stream:
         if stream.read(len(magic)) != magic:
@@ -173,12 +162,15 @@ def _whole_file(file: Path, folder: Path, notes: list[str]) -> Path:
 
 
 @contextmanager
-def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
+def _open_bag(
+    paths: Sequence[Path], notes: list[str], unpacked: UnpackedSize
+) -> Iterator[Any]:
     """Open the files of a bag with rosbags; `FormatError` if it is none, or damaged.
 
     Args:
         paths: Files of the bag, or folders of such.
         notes: Get one on each file that was cut short.
+        unpacked: Counts what is unpacked.
     """
     library = optional_library("rosbags.highlevel", "ROS bags")
     readable: list[Path] = []
@@ -189,7 +181,7 @@ def _open_bag(paths: Sequence[Path], notes: list[str]) -> Iterator[Any]:
     ):
         for path in paths:
             files = _files_in(path) if path.is_dir() else [path]
-            whole = [_whole_file(file, Path(folder), notes) for file in files]
+            whole = [_whole_file(f, Path(folder), notes, unpacked) for f in files]
             # The metadata of a folder fit its files as they are.
             is_bag_folder = whole == files and (path / METADATA).exists()
             readable += [path] if is_bag_folder else whole
@@ -253,19 +245,22 @@ def _head(reader: Any, path: Path, notes: Sequence[str]) -> Table:
     )
 
 
-def read_bag(paths: Sequence[Path], select: Callable[[Table], Table]) -> Table:
+def read_bag(
+    paths: Sequence[Path], select: Callable[[Table], Table], unpacked: UnpackedSize
+) -> Table:
     """Read a ROS bag as a table whose columns have the stamps of their topic.
 
     Args:
         paths: Files of the bag, or folders of such.
         select: Returns of all columns, without rows, those that are needed, with the
             joints that are; all are returned without rows if none is.
+        unpacked: Counts what is unpacked.
 
     Raises:
         RecordingError: It cannot be read, or lacks what is asked for.
     """
     notes: list[str] = []
-    with _open_bag(paths, notes) as reader:
+    with _open_bag(paths, notes, unpacked) as reader:
         whole = _head(reader, paths[0], notes)
         head = select(whole)
         if not head.columns:

@@ -12,13 +12,12 @@ import numpy as np
 import pandas as pd
 
 from needleforce.recordings.errors import (
+    UnpackedSize,
     damage_errors,
     optional_library,
-    require_size,
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
 from needleforce.recordings.time_stamps import (
-    first_valid_stamp,
     start_of_clock,
     to_nanoseconds,
     to_seconds,
@@ -28,11 +27,15 @@ ARROW_SUFFIXES = (".parquet", ".feather")
 """Of files that pyarrow reads."""
 
 
-def read_npz(path: Path) -> Table:
+def read_npz(path: Path, unpacked: UnpackedSize) -> Table:
     """Read an npz archive: arrays of numbers become columns; single numbers do not.
 
+    Args:
+        path: Of the archive.
+        unpacked: Counts what is in it.
+
     Raises:
-        FormatError: It is no such archive, or damaged.
+        FormatError: It is no such archive, damaged or too large.
     """
     arrays: dict[str, np.ndarray] = {}
     with (
@@ -41,7 +44,7 @@ def read_npz(path: Path) -> Table:
     ):
         names = archive.files
         size = sum(member.file_size for member in archive.zip.infolist())
-        require_size(size, f"{path}: its arrays")
+        unpacked.add(size, path)
         for name in names:
             with suppress(ValueError):  # objects
                 arrays[name] = archive[name]
@@ -60,22 +63,27 @@ def read_npz(path: Path) -> Table:
     )
 
 
-def read_arrow(path: Path) -> Table:
+def read_arrow(path: Path, unpacked: UnpackedSize) -> Table:
     """Read the columns of numbers, lists and time stamps of a Parquet or Feather file.
 
+    Args:
+        path: Of the file.
+        unpacked: Counts what is in it.
+
     Raises:
-        FormatError: It is no such file, or damaged.
+        FormatError: It is no such file, damaged or too large.
     """
     kind = path.suffix.lower().removeprefix(".")
     reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
+    size = 0
     with damage_errors(path, f"{kind} file"):
         if kind == "parquet":  # whose size is known before it is unpacked
             about = reader.ParquetFile(path).metadata
             groups = map(about.row_group, range(about.num_row_groups))
             size = sum(group.total_byte_size for group in groups)
-            require_size(size, f"{path}: what it holds")
+            unpacked.add(size, path)
         content = reader.read_table(path, use_threads=False)
-        require_size(content.nbytes, f"{path}: what it holds")
+        unpacked.add(content.nbytes - size, path)
         table = table_of_frame(content.to_pandas(ignore_metadata=True))
 
     own_start = (content.schema.metadata or {}).get(START_KEY.encode())
@@ -102,7 +110,7 @@ def table_of_frame(frame: pd.DataFrame) -> Table:
             )
             notes += [f"column {name!r}: cells that are not numbers: {odd}"] * bool(odd)
         elif (stamps_ns := _clock_ns(known)) is not None:
-            start_ns = start_ns or start_of_clock(first_valid_stamp(stamps_ns))
+            start_ns = start_ns or start_of_clock(stamps_ns)
             columns[name] = np.full(len(cells), np.nan)
             columns[name][filled] = to_seconds(stamps_ns, start_ns)
             seconds.add(name)
@@ -205,12 +213,16 @@ CONTAINER_SUFFIXES = (".h5", ".hdf5", ".mat", ".tdms")
 """Of files whose arrays have names in groups."""
 
 
-def read_container(path: Path) -> Table:
+def read_container(path: Path, unpacked: UnpackedSize) -> Table:
     """Read the numbers of shape (n,) or (n, k), n > 1, that a file holds.
+
+    Args:
+        path: Of the file.
+        unpacked: Counts what is in it.
 
     Raises:
         FileAccessError: The library that reads it is not installed.
-        FormatError: It is damaged, or of another kind.
+        FormatError: It is damaged, too large or of another kind.
     """
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
@@ -220,45 +232,38 @@ def read_container(path: Path) -> Table:
         if suffix == ".tdms":
             return _read_tdms(path)
         if is_hdf5 or suffix != ".mat":
-            return Table(columns=_read_hdf5(path, is_matlab=suffix == ".mat"))
+            arrays = _read_hdf5(path, unpacked, is_matlab=suffix == ".mat")
+        else:
+            from scipy.io import loadmat  # when it is needed: it takes a while
 
-        library = optional_library("scipy.io", "MATLAB files")
-        arrays = _flat(library.loadmat(path, simplify_cells=True))
-        return Table(columns={n: v for n, v in arrays.items() if _is_signal(v)})
+            content = loadmat(path, simplify_cells=True)
+            # Of structures in structures, by the names that lead there.
+            arrays = pd.json_normalize(content, sep="/").iloc[0]
+
+    return Table(columns={n: v for n, v in arrays.items() if _is_signal(v)})
 
 
-def _is_signal(values: np.ndarray) -> bool:
-    """Return whether an array holds numbers, more than one in each column."""
-    return values.dtype.kind in "fiub" and values.ndim in (1, 2) and len(values) > 1
+def _is_signal(values: Any) -> bool:
+    """Return whether values are an array of numbers, more than one in each column."""
+    is_array = isinstance(values, np.ndarray) and values.dtype.kind in "fiub"
+    return is_array and values.ndim in (1, 2) and len(values) > 1
 
 
-def _read_hdf5(path: Path, *, is_matlab: bool) -> dict[str, np.ndarray]:
+def _read_hdf5(
+    path: Path, unpacked: UnpackedSize, *, is_matlab: bool
+) -> dict[str, np.ndarray]:
     """Return the datasets of an HDF5 file; MATLAB writes columns as its rows."""
     library = optional_library("h5py", "HDF5 files")
     arrays: dict[str, np.ndarray] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, library.Dataset) and item.ndim in (1, 2):
-            require_size(item.nbytes, f"{path}: {name}")
+            unpacked.add(item.nbytes, path)
             values = item[()].T if is_matlab else item[()]
-            values = values.ravel() if 1 in values.shape else values
-            if _is_signal(values):
-                arrays[name] = values
+            arrays[name] = values.ravel() if 1 in values.shape else values
 
     with library.File(path) as file:
         file.visititems(visit)
-
-    return arrays
-
-
-def _flat(content: Mapping[str, Any], start: str = "") -> dict[str, np.ndarray]:
-    """Return the arrays of structures in structures, by the names that lead there."""
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in content.items():
-        if isinstance(value, Mapping):
-            arrays |= _flat(value, f"{start}{name}/")
-        elif isinstance(value, np.ndarray):
-            arrays[f"{start}{name}"] = value
 
     return arrays
 

@@ -70,17 +70,24 @@ class LogError(RecordingError, ValueError):
 
 
 MAX_BYTES = 2 << 30
-"""Most memory that a packed file's content may take: a bomb takes all there is."""
+"""Most memory that packed files may take: a bomb takes all there is."""
 
 
-def require_size(size: int, subject: str) -> None:
-    """Raise `FormatError` if something takes more bytes than `MAX_BYTES`."""
-    if size > MAX_BYTES:
-        raise FormatError(
-            f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
-            f"{MAX_BYTES / 1e6:.3g} MB",
-            "Unpack it, and read the part that is needed.",
-        )
+class UnpackedSize:
+    """How many bytes the files of one recording take unpacked, at most `MAX_BYTES`."""
+
+    def __init__(self) -> None:
+        self._bytes = 0
+
+    def add(self, size: int, path: str | Path) -> None:
+        """Count what was in a file; `FormatError` if the recording is too large."""
+        self._bytes += size
+        if self._bytes > MAX_BYTES:
+            raise FormatError(
+                f"{path}: the recording takes {self._bytes / 1e6:.3g} MB or more "
+                f"unpacked, more than the limit of {MAX_BYTES / 1e6:.3g} MB",
+                "Unpack it, and read the part that is needed.",
+            )
 
 
 def optional_library(module: str, user: str) -> ModuleType:

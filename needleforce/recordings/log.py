@@ -1,7 +1,7 @@
 """A log: channels in SI units, with one time stamp per row."""
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from types import MappingProxyType
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import (
+from needleforce.recordings.channel_request import (
     ASSUMED,
+    ChannelRequest,
     ChannelUnit,
     describe_columns,
 )
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import (
     ColumnError,
     LogError,
@@ -28,7 +28,6 @@ from needleforce.recordings.time_stamps import (
     NS_PER_S,
     OrderedRows,
     aligned,
-    first_valid_stamp,
     rows_in_order,
     start_of_clock,
     to_seconds,
@@ -210,59 +209,75 @@ def _with_time(
     """
     columns = {name: unit.columns for name, unit in found.items()}
     used = [column for names in columns.values() for column in names]
-    has_clocks = bool(table.clocks)
-    if has_clocks:
-        table = aligned(table, _find_reference(table, found))
-
     rate_hz = request.mapping.rate_hz
-    time = ChannelUnit("time", (), (), ())
-    if rate_hz is None and has_clocks:
-        time = ChannelUnit("time", ("t_s",), ("s",), ("format of the file",))
-    elif rate_hz is None:
+    time = ChannelUnit("time", ("t_s",), ("s",), ("format of the file",))
+    if rate_hz is not None:
+        time = ChannelUnit("time", (), (), ())
+    elif not table.clocks:
         time = request.find_time(table)
-    lengths = {name: len(table.values(name)) for name in (*used, *time.columns)}
-    if len({*lengths.values()}) > 1:
-        raise LogError(f"columns differ in their numbers of rows: {lengths}")
+        t_s, start_ns = read_times(table, request, time, used)
+        timed = {**table.columns, "t_s": t_s}
+        table = with_own_clocks(
+            replace(table, start_ns=start_ns, columns=timed), columns
+        )
+    if table.clocks:
+        # The rows are those of the torques or the force.
+        usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
+        column, *_ = next(iter([*usual, *found.values()])).columns
+        clock = table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
+        table = aligned(table, clock)
+    if rate_hz is not None:
+        t_s = np.arange(count_rows(table, used)) / rate_hz
+        table = replace(table, columns={**table.columns, "t_s": t_s})
 
-    t_s = np.arange(lengths[used[0]]) / (rate_hz or 1.0)
-    start_ns = table.start_ns
-    if time.columns:
-        t_s, start_ns = read_times(table, request.channels["time"], time)
-    table = replace(table, start_ns=start_ns, columns={**table.columns, "t_s": t_s})
-    parted = table if has_clocks or rate_hz else with_own_clocks(table, columns)
-    if parted.clocks:
-        parted = aligned(parted, _find_reference(parted, found))
-
-    return parted, time
-
-
-def _find_reference(table: Table, found: Mapping[str, ChannelUnit]) -> str:
-    """Return the clock whose stamps are the rows: that of the torques or the force."""
-    usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
-    column, *_ = next(iter([*usual, *found.values()])).columns
-    return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
+    return table, time
 
 
-def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
+def count_rows(table: Table, names: Iterable[str]) -> int:
+    """Return how many rows columns have; `LogError` if one has more or fewer."""
+    counts = {name: len(table.values(name)) for name in names}
+    first, *_ = counts
+    if odd := {n: count for n, count in counts.items() if count != counts[first]}:
+        raise LogError(
+            f"columns have other numbers of rows than {first}, {counts[first]}: {odd}"
+        )
+
+    return counts[first]
+
+
+def read_times(
+    table: Table, request: ChannelRequest, unit: ChannelUnit, columns: Iterable[str]
+) -> tuple[Array, int]:
     """Return time stamps in s, shape (n,), and the instant in ns that they count from.
 
     Whole nanoseconds too large for float64, and sums of columns, are counted from the
     first.
+
+    Args:
+        table: The columns.
+        request: Knows the units.
+        unit: The column of the time stamps, or those whose sum they are.
+        columns: Names of those that have the stamps.
+
+    Raises:
+        LogError: A column has more or fewer rows than there are stamps.
     """
-    columns = [table.values(name) for name in unit.columns]
+    count_rows(table, [*unit.columns, *columns])
+    channel = request.channels["time"]
+    stamps = [table.values(name) for name in unit.columns]
     factors = [channel.units[each] * NS_PER_S for each in unit.units]
-    if len(columns) > 1:
-        terms = zip(columns, factors, strict=True)
+    if len(stamps) > 1:
+        terms = zip(stamps, factors, strict=True)
         parts_ns = np.array([values * factor for values, factor in terms])
         known = np.isfinite(parts_ns).all(axis=0)
         stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
-    elif columns[0].dtype.kind in "iu" and factors == [1.0] and unit.scale == 1.0:
-        known = np.full(len(columns[0]), fill_value=True)
-        stamps_ns = columns[0].astype(np.int64) + table.start_ns
+    elif stamps[0].dtype.kind in "iu" and factors == [1.0] and unit.scale == 1.0:
+        known = np.full(len(stamps[0]), fill_value=True)
+        stamps_ns = stamps[0].astype(np.int64) + table.start_ns
     else:
-        return _values_in_si(columns, channel, unit), table.start_ns
+        return _values_in_si(stamps, channel, unit), table.start_ns
 
-    start_ns = start_of_clock(first_valid_stamp(stamps_ns))
+    start_ns = start_of_clock(stamps_ns)
     t_s = np.full(known.shape, np.nan)
     t_s[known] = to_seconds(stamps_ns, start_ns)
     return t_s, start_ns

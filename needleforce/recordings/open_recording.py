@@ -1,5 +1,6 @@
-"""Opening a recording, whatever its format: as a table or a log."""
+"""Opening a recording, whatever its format: as a table, a log or a mapping."""
 
+import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -20,19 +21,23 @@ from needleforce.recordings.columnar import (
 )
 from needleforce.recordings.errors import (
     KNOWN_SUFFIX,
+    ColumnError,
     FileAccessError,
     FormatError,
     RecordingError,
+    UnitError,
+    UnpackedSize,
     file_errors,
     readable_path,
 )
 from needleforce.recordings.log import (
     Log,
+    count_rows,
     log_of_table,
     ordered_rows,
     read_times,
 )
-from needleforce.recordings.mapping import ColumnMapping, load_layouts
+from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
 from needleforce.recordings.text_file import CSV_SUFFIXES, read_text
 from needleforce.recordings.time_stamps import to_nanoseconds
@@ -40,7 +45,7 @@ from needleforce.recordings.time_stamps import to_nanoseconds
 Source = str | Path | Sequence[str | Path]
 """A recording: a file, a folder with a file for each signal, or such files."""
 
-READERS: dict[str, Callable[[Path], Table]] = {
+READERS: dict[str, Callable[[Path, UnpackedSize], Table]] = {
     ".npz": read_npz,
     **dict.fromkeys(ARROW_SUFFIXES, read_arrow),
     **dict.fromkeys(CONTAINER_SUFFIXES, read_container),
@@ -64,19 +69,20 @@ def read_table(source: Source, request: ChannelRequest | None = None) -> Table:
 
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
-        FormatError: nothing usable is in it.
+        FormatError: nothing usable is in it, or it takes too much memory unpacked.
     """
     request = request or ChannelRequest()
     paths = paths_of(source)
+    unpacked = UnpackedSize()
     if all(map(is_bag, paths)):
-        return read_bag(paths, lambda head: _select(head, request))
+        return read_bag(paths, lambda head: _select(head, request), unpacked)
 
     if paths[0].is_dir():
-        table = _read_files(_files_in(paths[0]), request)
+        table = _read_files(_files_in(paths[0]), request, unpacked)
     elif len(paths) > 1:
-        table = _read_files(paths, request)
+        table = _read_files(paths, request, unpacked)
     else:
-        table = _read_file(paths[0], request)
+        table = _read_file(paths[0], request, unpacked)
     if not table.columns:
         raise FormatError(f"{source} holds no column of numbers{table.left_out()}")
 
@@ -105,19 +111,19 @@ def _select(head: Table, request: ChannelRequest) -> Table:
     return request.in_joint_order(replace(head, columns=columns))
 
 
-def _read_file(path: Path, request: ChannelRequest) -> Table:
+def _read_file(path: Path, request: ChannelRequest, unpacked: UnpackedSize) -> Table:
     """Return the table of one file; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
     if is_bag(path):
-        return read_bag([path], lambda head: head)
+        return read_bag([path], lambda head: head, unpacked)
 
     with file_errors(path):
         if str(path) == STANDARD_STREAM:
-            return read_text(sys.stdin.buffer.read(), "stdin", knowledge)
+            return read_text(sys.stdin.buffer.read(), "stdin", knowledge, unpacked)
         if path.is_fifo() or path.name.lower().endswith(CSV_SUFFIXES):
-            return read_text(path.read_bytes(), str(path), knowledge)
+            return read_text(path.read_bytes(), str(path), knowledge, unpacked)
         if reader := READERS.get(path.suffix.lower()):
-            return reader(path)
+            return reader(path, unpacked)
         path.stat()  # a name that is not there may lack its suffix
 
     raise FileAccessError(
@@ -125,7 +131,9 @@ def _read_file(path: Path, request: ChannelRequest) -> Table:
     )
 
 
-def _read_files(paths: Sequence[Path], request: ChannelRequest) -> Table:
+def _read_files(
+    paths: Sequence[Path], request: ChannelRequest, unpacked: UnpackedSize
+) -> Table:
     """Return the signals of several files, each with the clock of its file.
 
     If the mapping has a rate, rows are numbered, and there are no clocks.
@@ -140,7 +148,7 @@ def _read_files(paths: Sequence[Path], request: ChannelRequest) -> Table:
     run = re.sub(r"[^\W_]*$", "", start)
     whole = Table(columns={})
     for path, stem in zip(paths, stems, strict=True):
-        table = _read_file(path, request)
+        table = _read_file(path, request, unpacked)
         try:
             if not table.clocks:
                 table = _with_clock(table, stem.removeprefix(run), request)
@@ -178,7 +186,8 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
         request: Tells the time stamps.
 
     Raises:
-        RecordingError: There are no time stamps, or no signal beside them.
+        RecordingError: There are no time stamps, no signal beside them, or one with
+            more or fewer rows.
     """
     has_header = not all(column.startswith("column_") for column in table.columns)
     if not has_header and "time" not in request.mapping.channels:
@@ -190,9 +199,9 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
             },
         )
 
-    channel = request.channels["time"]
     has_rate = request.mapping.rate_hz is not None
     request = request.with_layout(table)
+    channel = request.channels["time"]
     time = request.find(table, channel) if has_rate else request.find_time(table)
     columns = {
         column: values
@@ -202,18 +211,15 @@ def _with_clock(table: Table, name: str, request: ChannelRequest) -> Table:
     if not columns:
         raise FormatError("expected time stamps and a signal")
     if not has_header:
+        count_rows(table, table.columns)
         signal = np.column_stack([*columns.values()])
         columns = {name: signal if signal.shape[1] > 1 else signal[:, 0]}
 
-    first = next(iter(columns.values()))
-    stamps_ns = np.arange(len(first))
-    notes = (
-        ["column_1 counts as the time and was left out"]
-        if has_rate and not has_header
-        else []
-    )
+    stamps_ns = np.empty(0, np.int64)
+    notes = [] if has_header else ["column_1 counts as the time and was left out"]
     if time and not has_rate:
-        t_s, start_ns = read_times(table, channel, time)
+        t_s, start_ns = read_times(table, request, time, table.columns)
+        first = next(iter(columns.values()))
         rows, t_s, notes = ordered_rows(t_s, first, channel, time)
         stamps_ns = to_nanoseconds(t_s, start_ns)
         columns = {column: values[rows] for column, values in columns.items()}
@@ -243,7 +249,7 @@ def columns_of(source: Source, mapping: ColumnMapping) -> Table:
     """Return the columns of a recording, a bag's without rows; see `read_table`."""
     paths = paths_of(source)
     if all(map(is_bag, paths)):
-        return read_bag(paths, lambda head: replace(head, columns={}))
+        return read_bag(paths, lambda head: replace(head, columns={}), UnpackedSize())
 
     return read_table(source, ChannelRequest(mapping))
 
@@ -287,3 +293,86 @@ def read_log(
         mapping, tuple(required), tuple(optional), tuple(joints), tuple(named)
     )
     return log_of_table(read_table(source, request), request)
+
+
+def suggest_mapping(
+    source: Source,
+    channels: Iterable[str],
+    *,
+    mapping: ColumnMapping | None = None,
+    joints: Sequence[str] = (),
+    payload: Sequence[str] = (),
+) -> str:
+    """Return a mapping of a recording as TOML, with what else there is as comments.
+
+    Args:
+        source: See `read_table`.
+        channels: Names of the channels looked for, apart from time.
+        mapping: What is known already; it stays.
+        joints: The robot's, in its order.
+        payload: Lines that say what hangs on the robot.
+
+    Raises:
+        RecordingError: As `read_table` does; `ColumnError` if the mapping names a
+            column that is not there.
+    """
+    known = mapping or ColumnMapping()
+    table = columns_of(source, known)
+    request = ChannelRequest(known, joints=tuple(joints)).with_layout(table)
+    known = request.mapping
+    names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
+    top = {
+        "rate_hz": known.rate_hz,
+        "joints": list(known.joint_order or (joints if names_robot else ())),
+        **dict.fromkeys(sorted(known.left_out), LEFT_OUT),
+    }
+    lines = [
+        comment_line(
+            f"Mapping of {paths_of(source)[0].name}; edit it, then: --mapping FILE"
+        ),
+        "",
+    ]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
+    is_timed = known.rate_hz is not None or table.clocks
+    names = [*channels] if is_timed else ["time", *channels]
+    used: set[str] = set()
+    for name in filter(lambda each: each not in known.left_out, names):
+        unit = None
+        reason = "not found"
+        try:
+            unit = request.find(table, request.channels[name])
+        except (ColumnError, UnitError) as error:
+            if name in known.channels:
+                raise
+            reason = str(error)
+        if unit is None:
+            lines.append(comment_line(f"{name}: {reason}"))
+            continue
+
+        used |= {*unit.columns}
+        column, *others = unit.columns
+        first_unit, *_ = unit.units
+        values = {
+            "columns": unit.columns if others else column,
+            "unit": unit.units if len({*unit.units}) > 1 else first_unit,
+            "scale": unit.scale,
+        }
+        entries = ", ".join(f"{key} = {json.dumps(v)}" for key, v in values.items())
+        lines.append(f"{name} = {{ {entries} }}  # {request.channels[name].meaning}")
+
+    unused = [
+        comment_line(f"  {name} {list(values.shape[1:]) or ''}")
+        for name, values in table.columns.items()
+        if name not in used
+    ]
+    return "\n".join(
+        [*lines, "", *payload, "", "# Columns that are not used:", *unused, ""]
+    )
+
+
+def comment_line(text: str) -> str:
+    """Return a comment for TOML.
+
+    Names in it come from files and must not end its line.
+    """
+    return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

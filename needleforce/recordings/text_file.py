@@ -14,10 +14,10 @@ from typing import NamedTuple
 import pandas as pd
 
 from needleforce.recordings import errors
+from needleforce.recordings.channel_request import parse_column_name
 from needleforce.recordings.channels import Knowledge
-from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.columnar import table_of_frame
-from needleforce.recordings.errors import FormatError, damage_errors
+from needleforce.recordings.errors import FormatError, UnpackedSize, damage_errors
 from needleforce.recordings.table import START_KEY, Table
 
 CSV_SUFFIXES = (
@@ -58,18 +58,22 @@ class _Start(NamedTuple):
     width: int
 
 
-def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
+def read_text(
+    data: bytes, name: str, knowledge: Knowledge, unpacked: UnpackedSize
+) -> Table:
     """Read a text: perhaps lines above, a header, perhaps units, rows of numbers.
 
     Args:
         data: The file, plain or compressed with gzip.
         name: Of the file, for messages.
         knowledge: Names and units that are known.
+        unpacked: Counts what is in it if it is compressed.
 
     Raises:
-        FormatError: There is no table in it, or a quotation does not end.
+        FormatError: There is no table in it, a quotation does not end, or it is too
+            large.
     """
-    data = _in_utf8(data, name)
+    data = _in_utf8(data, name, unpacked)
     head = data[: 1 << 20].decode("utf-8", "replace")
     lines = _lines_of_table(re.split(r"\r\n|\r|\n", head))[:400]
     texts = [line for _, line in lines]
@@ -140,17 +144,17 @@ def read_text(data: bytes, name: str, knowledge: Knowledge) -> Table:
     )
 
 
-def _in_utf8(data: bytes, name: str) -> bytes:
+def _in_utf8(data: bytes, name: str, unpacked: UnpackedSize) -> bytes:
     """Return a text in UTF-8, UTF-16 or Windows' encoding, perhaps packed, in UTF-8.
 
     Raises:
-        FormatError: It is damaged.
+        FormatError: It is damaged or too large.
     """
     if data.startswith(b"\x1f\x8b"):
         with damage_errors(name, "gzip file"), gzip.open(io.BytesIO(data)) as file:
             data = file.read(errors.MAX_BYTES + 1)
 
-        errors.require_size(len(data), f"{name}: its text")
+        unpacked.add(len(data), name)
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if is_wide else ("utf-8-sig", "cp1252"):
         with suppress(UnicodeDecodeError):

@@ -20,28 +20,22 @@ from needleforce.recordings.table import Table
 NS_PER_S = 1_000_000_000
 
 
-def start_of_clock(first_ns: int) -> int:
+def start_of_clock(stamps_ns: NDArray[np.int64]) -> int:
     """Return the instant from which seconds are counted so that nothing is lost.
 
     It is 0, so that the file's clock is kept, or the first stamp if that clock began
-    long ago.
+    long ago: the first one that is near most of the others, shape (n,), n > 0, since
+    the very first may never have been set.
     """
     max_exact_ns = 1 << 52  # up to here, 52 days, a double of seconds resolves ns
-    return 0 if abs(first_ns) < max_exact_ns // 2 else first_ns
-
-
-def first_valid_stamp(stamps_ns: NDArray[np.int64]) -> int:
-    """Return the first stamp that is near most of the others, shape (n,), n > 0.
-
-    The very first may be one that was never set.
-    """
     head_ns = stamps_ns[:200]
     distinct_ns = np.unique(head_ns)
     middle_ns = int(distinct_ns[len(distinct_ns) // 2])
     # What is an hour from the others is not of their clock. Python's integers do not
     # overflow.
     hour_ns = 3600 * NS_PER_S
-    return next(ns for ns in head_ns.tolist() if abs(ns - middle_ns) <= hour_ns)
+    first_ns = next(ns for ns in head_ns.tolist() if abs(ns - middle_ns) <= hour_ns)
+    return 0 if abs(first_ns) < max_exact_ns // 2 else first_ns
 
 
 def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> Array:
@@ -120,7 +114,7 @@ def aligned(table: Table, reference: str) -> Table:
             if abs(len(known_ns) - len(at_ns)) > 1:
                 notes[f"{clock} was interpolated to the stamps of {reference}"] = None
 
-    start_ns = start_of_clock(first_valid_stamp(at_ns))
+    start_ns = start_of_clock(at_ns)
     return replace(
         table,
         columns={"t_s": to_seconds(at_ns, start_ns), **columns},

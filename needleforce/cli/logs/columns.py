@@ -20,8 +20,8 @@ from needleforce.recordings import (
     Log,
     UnitError,
 )
+from needleforce.recordings.channel_request import ChannelUnit
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import ChannelUnit
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
 from needleforce.session_replay import TareWindow

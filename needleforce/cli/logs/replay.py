@@ -25,7 +25,6 @@ from needleforce.cli.options import (
 from needleforce.cli.robot import payload_from_options, payload_lines
 from needleforce.cli.terminal import CommandError, progress_bar, warn, write_out
 from needleforce.recordings import output as output_files
-from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import STANDARD_STREAM, TableLabels
 from needleforce.session_replay import SensorReplay
 from residual import Status
@@ -54,7 +53,7 @@ def force(
         model = log_columns.robot_of_log(source, mapping, robot, columns.mapping)
         wanted = ("q", sensor.torque_channel, "dq")
         payload = payload_lines(payload_from_options(robot, columns.mapping))
-        suggestion = suggest_mapping(
+        suggestion = recordings.suggest_mapping(
             source, wanted, mapping=mapping, joints=model.joint_names, payload=payload
         )
         write_out(suggestion)
@@ -117,7 +116,7 @@ def identify(
     if columns.print_config:
         mapping = log_columns.mapping_from_options(columns)
         wanted = ("depth", "force", *log_columns.depth_channels(mapping))
-        write_out(suggest_mapping(source, wanted, mapping=mapping))
+        write_out(recordings.suggest_mapping(source, wanted, mapping=mapping))
         return 0
     check_outputs(source, output)
     found = run_layers(source, columns, options)
