@@ -3,12 +3,19 @@
 `read_log` turns a file (CSV, npz, Parquet, Feather, ROS bag) into a `Log` in SI units;
 `write_table` and `write_log` write results.
 
-Reading order: `open_recording`, `table`, `channels`, `mapping`, `channel_request`,
-`log`. The formats: `text_file`, `columnar`, `bag_file`.
+Reading order: `open_recording`, `table`, `channels`, `channel_request`, `log`. The
+formats: `text_file`, `columnar`, `bag_file`.
 """
 
 from needleforce.recordings.channel_request import ChannelRequest as ChannelRequest
-from needleforce.recordings.channels import CHANNELS as CHANNELS
+from needleforce.recordings.channels import (
+    CHANNELS as CHANNELS,
+    ColumnMapping as ColumnMapping,
+    ColumnSpec as ColumnSpec,
+    load_layouts as load_layouts,
+    load_mapping as load_mapping,
+    parse_column_spec as parse_column_spec,
+)
 from needleforce.recordings.errors import (
     ColumnError as ColumnError,
     FileAccessError as FileAccessError,
@@ -19,13 +26,6 @@ from needleforce.recordings.errors import (
     UnitError as UnitError,
 )
 from needleforce.recordings.log import Log as Log
-from needleforce.recordings.mapping import (
-    ColumnMapping as ColumnMapping,
-    ColumnSpec as ColumnSpec,
-    load_layouts as load_layouts,
-    load_mapping as load_mapping,
-    parse_column_spec as parse_column_spec,
-)
 from needleforce.recordings.open_recording import (
     columns_of as columns_of,
     read_log as read_log,

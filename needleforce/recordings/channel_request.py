@@ -14,19 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.channels import Channel, Units, normalised_name
+from needleforce.recordings.channels import (
+    LEFT_OUT,
+    Channel,
+    ColumnMapping,
+    ColumnSpec,
+    Units,
+    known_channel,
+    mapping_of_layout,
+    normalised_name,
+)
 from needleforce.recordings.errors import ColumnError, MappingError, UnitError
 from needleforce.recordings.joint_names import (
     choose_match,
     match_joints,
     names_channel,
-)
-from needleforce.recordings.mapping import (
-    LEFT_OUT,
-    ColumnMapping,
-    ColumnSpec,
-    known_channel,
-    mapping_of_layout,
 )
 from needleforce.recordings.table import Table
 

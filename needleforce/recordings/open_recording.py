@@ -12,6 +12,7 @@ import numpy as np
 
 from needleforce.recordings.bag_file import BAG_SUFFIXES, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channels import LEFT_OUT, ColumnMapping, load_layouts
 from needleforce.recordings.columnar import (
     ARROW_SUFFIXES,
     CONTAINER_SUFFIXES,
@@ -37,7 +38,6 @@ from needleforce.recordings.log import (
     ordered_rows,
     read_times,
 )
-from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
 from needleforce.recordings.text_file import CSV_SUFFIXES, read_text
 from needleforce.recordings.time_stamps import to_nanoseconds

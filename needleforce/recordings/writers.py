@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -122,24 +122,14 @@ def _header(stamp_ns: int, frame: str) -> Any:
     return _message("std_msgs/msg/Header", stamp, frame)
 
 
-class WrittenTopic(NamedTuple):
-    """A topic to be written.
-
-    Attributes:
-        name: Such as /joint_states.
-        kind: The type of its messages.
-        messages: One for each row; None for a row without.
-    """
-
-    name: str
-    kind: str
-    messages: Iterable[Any]
+Messages = Iterable[Any]
+"""Of a topic, one for each row; None for a row without."""
 
 
 def bag_topics(
     columns: TableColumns, labels: TableLabels, stamps_ns: Sequence[int]
-) -> Iterator[WrittenTopic]:
-    """Yield the topics of some rows.
+) -> dict[str, Messages]:
+    """Return the messages of some rows by their topic.
 
     `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with
     `ft_torque_Nm`, and `force_x_in_...`, `torque_x_in_...` and so on, become a
@@ -151,11 +141,11 @@ def bag_topics(
         labels: Names of joints, frame and prefix.
         stamps_ns: Time stamps of the rows.
     """
+    topics: dict[str, Messages] = {}
     if labels.robot_description:
-        kind = "std_msgs/msg/String"
-        text = _message(kind, labels.robot_description)
-        messages = (None if row else text for row in range(len(stamps_ns)))
-        yield WrittenTopic("/robot_description", kind, messages)
+        text = _message("std_msgs/msg/String", labels.robot_description)
+        rows = range(len(stamps_ns))
+        topics["/robot_description"] = (None if row else text for row in rows)
 
     remaining = {
         name: np.array(values, dtype=np.float64, order="C")
@@ -168,20 +158,16 @@ def bag_topics(
         if name in remaining and remaining[name].ndim == 2
     }
     if len({values.shape[1] for values in signals.values()}) == 1:
-        for name in signals:
-            del remaining[name]
-
-        messages = _joint_states(signals, labels.joint_names, stamps_ns)
-        yield WrittenTopic("/joint_states", "sensor_msgs/msg/JointState", messages)
+        topics["/joint_states"] = _joint_states(signals, labels.joint_names, stamps_ns)
+        remaining = {n: v for n, v in remaining.items() if n not in signals}
     if "q_rad" in signals and labels.link_poses is not None:
-        poses = _link_poses(signals["q_rad"], labels.link_poses, stamps_ns)
-        yield WrittenTopic("/tf", "tf2_msgs/msg/TFMessage", poses)
+        topics["/tf"] = _link_poses(signals["q_rad"], labels.link_poses, stamps_ns)
 
     force = remaining.get("ft_force_N", np.empty(0))
     torque = remaining.get("ft_torque_Nm", np.empty(0))
     if force.shape[1:] == torque.shape[1:] == (3,):
         del remaining["ft_force_N"], remaining["ft_torque_Nm"]
-        yield _wrenches("/ft_sensor/wrench", "ft_sensor", stamps_ns, force, torque)
+        topics["/ft_sensor/wrench"] = _wrenches("ft_sensor", stamps_ns, force, torque)
 
     force = _pop_vector(remaining, "force")
     torque = _pop_vector(remaining, "torque")
@@ -189,33 +175,35 @@ def bag_topics(
         # A force at the tip has no torque.
         torque = np.zeros_like(force) if torque is None else torque
         name = f"{labels.prefix}/wrench"
-        yield _wrenches(name, labels.frame, stamps_ns, force, torque)
+        topics[name] = _wrenches(labels.frame, stamps_ns, force, torque)
 
     # Without a header: the time stamp is the one of the record.
-    kind = "std_msgs/msg/Float64"
     for name, values in flat_columns(remaining).items():
-        topic_name = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
-        messages = map(partial(_message, kind), values.tolist())
-        yield WrittenTopic(topic_name, kind, messages)
+        topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
+        number = partial(_message, "std_msgs/msg/Float64")
+        topics[topic] = map(number, values.tolist())
+
+    return topics
 
 
 def _joint_states(
     signals: TableColumns, names: Sequence[str], stamps_ns: Sequence[int]
-) -> Iterator[Any]:
-    """Yield joint signals, shape (n, joints) each, as a `JointState` for each row."""
+) -> Messages:
+    """Return joint signals, shape (n, joints) each, as a `JointState` for each row."""
     width = next(iter(signals.values())).shape[1]
     numbered = [f"joint_{number}" for number in range(1, width + 1)]
     joint_names = list(names) if len(names) == width else numbered
     nothing = np.empty((len(stamps_ns), 0))
     numbers = [signals.get(name, nothing) for name in ("q_rad", "dq_rad_s", "tau_Nm")]
-    for stamp_ns, *row in zip(stamps_ns, *numbers, strict=True):
-        header = _header(stamp_ns, "")
-        yield _message("sensor_msgs/msg/JointState", header, joint_names, *row)
+    return (
+        _message("sensor_msgs/msg/JointState", _header(stamp_ns, ""), joint_names, *row)
+        for stamp_ns, *row in zip(stamps_ns, *numbers, strict=True)
+    )
 
 
 def _link_poses(
     q_rad: np.ndarray, link_poses: LinkPoses, stamps_ns: Sequence[int]
-) -> Iterator[Any]:
+) -> Messages:
     """Yield a `TFMessage` 30 times a second, as a screen shows; None for other rows.
 
     Args:
@@ -233,6 +221,12 @@ def _link_poses(
         latest = picture
         links = link_poses(position_rad)
         header = _header(stamp_ns, links.parent)
+        poses = zip(
+            links.children,
+            links.translation_m.tolist(),
+            links.rotation_xyzw.tolist(),
+            strict=True,
+        )
         transforms = [
             _message(
                 "geometry_msgs/msg/TransformStamped",
@@ -244,12 +238,7 @@ def _link_poses(
                     _message("geometry_msgs/msg/Quaternion", *turn),
                 ),
             )
-            for child, origin_m, turn in zip(
-                links.children,
-                links.translation_m.tolist(),
-                links.rotation_xyzw.tolist(),
-                strict=True,
-            )
+            for child, origin_m, turn in poses
         ]
         yield _message("tf2_msgs/msg/TFMessage", transforms)
 
@@ -274,18 +263,13 @@ def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | N
 
 
 def _wrenches(
-    name: str,
-    frame: str,
-    stamps_ns: Sequence[int],
-    force: np.ndarray,
-    torque: np.ndarray,
-) -> WrittenTopic:
-    """Return forces and torques, shape (n, 3), as a topic of `WrenchStamped`."""
-    kind = "geometry_msgs/msg/WrenchStamped"
+    frame: str, stamps_ns: Sequence[int], force: np.ndarray, torque: np.ndarray
+) -> Messages:
+    """Return forces and torques, shape (n, 3), as a `WrenchStamped` for each row."""
     rows = zip(stamps_ns, force.tolist(), torque.tolist(), strict=True)
-    messages = (
+    return (
         _message(
-            kind,
+            "geometry_msgs/msg/WrenchStamped",
             _header(stamp_ns, frame),
             _message(
                 "geometry_msgs/msg/Wrench",
@@ -295,7 +279,6 @@ def _wrenches(
         )
         for stamp_ns, force_N, torque_Nm in rows
     )
-    return WrittenTopic(name, kind, messages)
 
 
 @contextmanager
@@ -314,22 +297,24 @@ def mcap_writer(
     # Rows that come at once make a chunk, or several of 64 KiB.
     bag = library.Writer(stream, chunk_size=1 << 16, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
-    channels: dict[str, int] = {}
-    for topic in bag_topics(empty, labels, ()):
-        definition, _ = types.generate_msgdef(topic.kind, ros_version=2)
-        schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
-        channels[topic.name] = bag.register_channel(topic.name, "cdr", schema)
+
+    @cache
+    def channel_of(topic: str, kind: str) -> int:
+        definition, _ = types.generate_msgdef(kind, ros_version=2)
+        schema = bag.register_schema(kind, "ros2msg", definition.encode())
+        return bag.register_channel(topic, "cdr", schema)
 
     def append(columns: TableColumns) -> None:
         nonlocal labels
         stamps_ns = _message_stamps_ns(columns, labels)
-        topics = list(bag_topics(columns, labels, stamps_ns))
-        rows = (topic.messages for topic in topics)
-        for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
+        topics = bag_topics(columns, labels, stamps_ns)
+        for stamp_ns, *messages in zip(stamps_ns, *topics.values(), strict=True):
             for topic, message in zip(topics, messages, strict=True):
                 if message is not None:
-                    data = types.serialize_cdr(message, topic.kind)
-                    bag.add_message(channels[topic.name], stamp_ns, data, stamp_ns)
+                    kind = message.__msgtype__
+                    data = types.serialize_cdr(message, kind)
+                    channel = channel_of(topic, kind)
+                    bag.add_message(channel, stamp_ns, data, stamp_ns)
 
         if stamps_ns:
             labels = replace(labels, robot_description="")

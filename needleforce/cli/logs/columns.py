@@ -16,13 +16,12 @@ from needleforce.recordings import (
     ChannelRequest,
     ColumnError,
     ColumnMapping,
-    ColumnSpec,
     Log,
     UnitError,
+    parse_column_spec,
 )
 from needleforce.recordings.channel_request import ChannelUnit
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
 from needleforce.session_replay import TareWindow
 from urdf import Robot
@@ -47,12 +46,13 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
     base = ColumnMapping(knowledge=knowledge)
     if columns.mapping:
         base = recordings.load_mapping(columns.mapping, knowledge)
-    channels: dict[str, ColumnSpec] = {}
-    for name, channel in knowledge.channels.items():
-        if (text := getattr(columns, name, None)) is not None:
-            channels[name] = parse_column_spec(text, channel)
+    texts = {name: getattr(columns, name, None) for name in knowledge.channels}
     options = ColumnMapping(
-        channels=channels,
+        channels={
+            name: parse_column_spec(text, knowledge.channels[name])
+            for name, text in texts.items()
+            if text is not None
+        },
         rate_hz=columns.rate,
         joints=getattr(columns, "joints", None) or (),
         knowledge=knowledge,
@@ -166,7 +166,7 @@ def has_channels(
         return False
 
 
-def joints_of_log(
+def _joints_of_log(
     source: Sequence[str], mapping: ColumnMapping
 ) -> tuple[str | None, ...]:
     """Return the joints of a log by name: those of the mapping, else as it names them.
@@ -183,12 +183,11 @@ def joints_of_log(
     positions = frozenset(table.joint_names)
     with suppress(ColumnError):  # several would fit, which reading the log will say
         positions = ChannelRequest(mapping, ("q",)).columns(table) or frozenset()
-    joints: list[str | None] = []
-    for column in sorted(positions):
-        values = table.columns.get(column)
-        width = 1 if values is None or values.ndim == 1 else values.shape[1]
-        joints += table.joint_names.get(column, (None,) * width)
-    return tuple(joints)
+    return tuple(
+        joint
+        for name in sorted(positions)
+        for joint in table.joint_names.get(name, (None,) * table.width(name))
+    )
 
 
 def robot_of_log(
@@ -205,5 +204,5 @@ def robot_of_log(
         options: Options that describe the robot.
         file: File of the mapping, which may name the payload.
     """
-    joints = joints_of_log(source, mapping) if options.lock_others else ()
+    joints = _joints_of_log(source, mapping) if options.lock_others else ()
     return robot_from_options(options, file, joints)

@@ -105,6 +105,8 @@ def describe_forces(replay: SensorReplay) -> dict[str, str]:
     """Return what was used, done and estimated, by label."""
     config = replay.config
     log = replay.log
+    most_first = replay.rejected.most_common(4)
+    rejected = "; ".join(f"{count} x {text}" for text, count in most_first)
     estimated = "wrench" if config.mode == "full" else f"{config.mode} force"
     origin = "from the log" if "dq_rad_s" in log else "estimated"
     source = f"K = {config.slowest_gain_per_s:g} 1/s, velocity {origin}"
@@ -117,7 +119,7 @@ def describe_forces(replay: SensorReplay) -> dict[str, str]:
         "model": "; ".join(replay.robot.warnings),
         "sensor": f"{estimated} at {config.frame or replay.robot.tool_frame}, {source}",
         "samples": _describe_samples(replay),
-        "rejected": _describe_rejections(replay.rejected),
+        "rejected": f"{replay.rejected.total()}: {rejected}" if rejected else "none",
         "gaps": _describe_gaps(replay),
         "warnings": describe_warnings(replay) or "none",
         "signals": "; ".join(replay.doubts),
@@ -147,19 +149,11 @@ def _describe_samples(replay: SensorReplay) -> str:
     rows = {status: replay.count_status(status) for status in STATUS_CODES}
     rows[Status.REJECTED] += log.left_out
     listed = [f"{count} {status.value}" for status, count in rows.items() if count]
-    text = f"{sum(rows.values())} in {log.t_s[-1] - log.t_s[0]:.4g} s"
-    steps_s = np.diff(log.t_s)
-    if (steps_s > 0.0).any():
-        text += f" at {1.0 / float(np.median(steps_s[steps_s > 0.0])):.4g} Hz"
-    return f"{text}: {', '.join(listed)}"
-
-
-def _describe_rejections(rejected: Counter[str]) -> str:
-    """Return how many samples were rejected, and for which reasons."""
-    shown_reasons = 4
-    most_first = rejected.most_common(shown_reasons)
-    reasons = "; ".join(f"{count} x {text}" for text, count in most_first)
-    return f"{rejected.total()}: {reasons}" if reasons else "none"
+    rate_hz = 1.0 / np.median(np.diff(log.t_s))
+    return (
+        f"{sum(rows.values())} in {log.t_s[-1] - log.t_s[0]:.4g} s at {rate_hz:.4g} Hz:"
+        f" {', '.join(listed)}"
+    )
 
 
 def _describe_gaps(replay: SensorReplay) -> str:
@@ -172,15 +166,15 @@ def _describe_gaps(replay: SensorReplay) -> str:
     return f"{longest}: filters restart after each"
 
 
-def _count(replay: SensorReplay, warning: SensorWarning) -> int:
-    """Return how many samples have a warning."""
-    return int(np.count_nonzero(replay.rows["force_warnings"].to_numpy() & warning))
+def _count_warnings(replay: SensorReplay) -> Counter[SensorWarning]:
+    """Return how many samples have which warning."""
+    flags = replay.rows["force_warnings"].to_numpy()
+    return Counter({each: np.count_nonzero(flags & each) for each in SensorWarning})
 
 
 def describe_warnings(replay: SensorReplay) -> str:
     """Return how many samples have which warning, the most first; empty for none."""
-    counts = Counter({warning: _count(replay, warning) for warning in SensorWarning})
-    listed = counts.most_common()
+    listed = _count_warnings(replay).most_common()
     return ", ".join(f"{count} x {warning}" for warning, count in listed if count)
 
 
@@ -230,7 +224,7 @@ def find_doubts(replay: SensorReplay) -> list[str]:
             "the model, are off; the force's deviation has that in it"
         )
     tared = replay.count_status(Status.OK)
-    mismatched = _count(replay, SensorWarning.MODEL_MISMATCH)
+    mismatched = _count_warnings(replay)[SensorWarning.MODEL_MISMATCH]
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
     if mismatched > 0.1 * tared:
         doubts.append(

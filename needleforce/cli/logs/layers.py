@@ -131,9 +131,7 @@ def identify_layers(
     statuses = Counter(estimate.status for estimate in found.estimates)
     _require_used_rows(statuses, ignored, log)
     contact_m = float(found.contact_depths_m[-1])
-    zero = DepthZero(0.0, LOG_ZERO)
-    if np.isfinite(contact_m):
-        zero = DepthZero(contact_m, FIRST_CONTACT)
+    is_contact = np.isfinite(contact_m)
     counted = [
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in ignored.items()
@@ -149,7 +147,9 @@ def identify_layers(
             *(hint.text for hint in found.hints),
             *_describe_later_insertions(log, contact_m),
         ),
-        zero=zero,
+        zero=DepthZero(contact_m, FIRST_CONTACT)
+        if is_contact
+        else DepthZero(0.0, LOG_ZERO),
         method=options.method,
     )
 
@@ -187,18 +187,14 @@ def _describe_later_insertions(log: Log, contact_m: float) -> list[str]:
     below_m = median_filter(log["depth_m"][known] - contact_m, held_rows)
     is_sure = (below_m < -out_m) | (below_m > in_m)
     is_in = below_m[is_sure] > 0.0
-    sure_s = t_s[is_sure]
-    entries = np.flatnonzero(~is_in[:-1] & is_in[1:]) + 1
-    exits = np.flatnonzero(is_in[:-1] & ~is_in[1:]) + 1
-    notes: list[str] = []
-    for entry in entries.tolist():
-        if (exits < entry).any():
-            start_s = sure_s[exits[exits < entry].max()]
-            notes.append(
-                f"the needle enters again at {sure_s[entry]:.6g} s, and layers are "
-                f"of the first insertion; --between {start_s:.12g}: reads the later one"
-            )
-    return notes
+    # The needle leaves and enters in turns; the first entry is no later one.
+    turns_s = t_s[is_sure][1:][np.diff(is_in)]
+    turns_s = turns_s[1:] if not is_in[:1].all() else turns_s
+    return [
+        f"the needle enters again at {entry_s:.6g} s, and layers are of the first "
+        f"insertion; --between {exit_s:.12g}: reads the later one"
+        for exit_s, entry_s in zip(turns_s[::2], turns_s[1::2], strict=False)
+    ]
 
 
 def usable_force(log: Log) -> tuple[Array, dict[str, int]]:
@@ -363,16 +359,13 @@ def _describe_layers(found: LayerReplay) -> str:
 
 def _find_tissue_doubts(found: LayerReplay) -> list[str]:
     """Return where something hard was met, and whether the tissue moved."""
-    doubts: list[str] = []
     depths_m = found.rows.loc[found.rows["hard_contact"] > 0, "depth_m"]
-    if len(depths_m):
-        doubts.append(f"Hard contact, as with bone, {_shown(found, depths_m)}.")
-    if np.any(found.rows["tissue_moves"] > 0):
-        doubts.append(
-            "The tissue moved and pulled at the needle: ruptures of that time are "
-            "doubtful, and no layer became final."
-        )
-    return doubts
+    doubts = {
+        f"Hard contact, as with bone, {_shown(found, depths_m)}.": len(depths_m) > 0,
+        "The tissue moved and pulled at the needle: ruptures of that time are doubtful,"
+        " and no layer became final.": (found.rows["tissue_moves"] > 0).any(),
+    }
+    return [text for text, is_seen in doubts.items() if is_seen]
 
 
 def _shown(found: LayerReplay, depths_m: Iterable[float]) -> str:

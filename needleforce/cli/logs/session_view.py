@@ -6,8 +6,8 @@ from time import sleep
 import numpy as np
 
 from needleforce import recordings
-from needleforce.cli.logs.columns import robot_of_log
-from needleforce.cli.options import RobotOptions
+from needleforce.cli.logs.columns import mapping_from_options, robot_of_log
+from needleforce.cli.options import Columns, RobotOptions
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
 from needleforce.cli.terminal import (
@@ -56,9 +56,7 @@ def view_recording(
             raise CommandError(f"--export {export}: its name must end in .html")
         output.require_place(export)
         output.check_outputs({"--export": export}, [recording])
-    mapping = recordings.ColumnMapping()
-    if mapping_file:
-        mapping = recordings.load_mapping(mapping_file)
+    mapping = mapping_from_options(Columns(mapping=mapping_file))
     model = robot_of_log([str(recording)], mapping, robot, mapping_file)
     plan = load_plan(anatomy, is_past=True)
     log = recordings.read_log(
@@ -80,13 +78,11 @@ def view_recording(
         warn([f"the arm is shown as a line: {viewer.unread_shapes}"])
     viewer.append(moments)
     viewer.open_recording()
-    if export is not None:
-        write_out(f"{viewer.export(export)}\n")
-    else:
-        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
-        with stop_request() as is_asked:
-            while not is_asked():
-                sleep(0.2)
+    place = viewer.export(export) if export else f"{viewer.url}  (Ctrl-C ends it)"
+    write_out(f"{place}\n")
+    with stop_request() as is_asked:
+        while export is None and not is_asked():
+            sleep(0.2)
     viewer.stop()
     return 0
 
@@ -117,9 +113,10 @@ def scene_moments(
     if session.rejected:
         warn([f"samples rejected by the session: {session.rejected}"])
     if not session.tared:
-        text = (
-            f"no tare (--tare {tare_s:g} asks for so many seconds of motion without "
-            "contact): forces carry errors of the model and of the torque sensors"
+        warn(
+            [
+                f"no tare (--tare {tare_s:g} asks for so many seconds of motion without"
+                " contact): forces carry errors of the model and of the torque sensors"
+            ]
         )
-        warn([text])
     return moments
