@@ -273,11 +273,10 @@ def read_bag(
             both_ns[topic], rows = _read_topic(reader, topic, names, head)
             columns |= rows
 
-    offset_ns = 0  # of the sources' clock from the recorder's, by the fullest topic
-    for sources_ns, logs_ns in sorted(reversed(both_ns.values()), key=np.size):
-        if sources_ns.any():
-            offset_ns = int(np.median((sources_ns - logs_ns)[sources_ns != 0]))
-
+    stamped = [both for both in both_ns.values() if both[0].any()]
+    sources_ns, logs_ns = max(stamped, key=np.size, default=np.ones((2, 1), np.int64))
+    # Of the sources' clock from the recorder's, by the fullest topic.
+    offset_ns = int(np.median((sources_ns - logs_ns)[sources_ns != 0]))
     stamps_ns: dict[str, NDArray[np.int64]] = {}
     for topic, (sources_ns, logs_ns) in both_ns.items():
         # A simulated clock may begin at zero; on any other that is no stamp.

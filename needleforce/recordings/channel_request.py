@@ -360,24 +360,6 @@ class ChannelRequest:
         """The joints that are looked for, in the robot's order."""
         return self.mapping.joint_order or self.joints
 
-    @property
-    def requested(self) -> tuple[str, ...]:
-        """The channels that are looked for: required ones first, none left out.
-
-        Raises:
-            MappingError: The mapping leaves out one that is required.
-        """
-        mapped = (name for name in self.named if name in self.mapping.channels)
-        wanted = (*self.required, *self.optional, *mapped)
-        if forgone := self.mapping.left_out & {*self.required}:
-            raise MappingError(
-                f"{', '.join(forgone)} = {LEFT_OUT!r} leaves out a channel that is "
-                "needed; only others can be left out, such as dq"
-            )
-
-        names = wanted or tuple(name for name in self.channels if name != "time")
-        return tuple(name for name in names if name not in self.mapping.left_out)
-
     def columns(self, table: Table) -> frozenset[str] | None:
         """Return the names of the columns that the channels need.
 
@@ -403,15 +385,25 @@ class ChannelRequest:
         )
 
     def find_all(self, table: Table) -> dict[str, ChannelUnit]:
-        """Return the channels that are there; raises as `find` does.
+        """Return the channels that are looked for and there; raises as `find` does.
 
         Raises:
-            MappingError: A channel that is looked for does not exist.
+            MappingError: A channel that is looked for does not exist, or the mapping
+                leaves out one that is required.
         """
-        channels = [
-            known_channel(name, self.mapping.knowledge) for name in self.requested
-        ]
-        found = {channel.name: self.find(table, channel) for channel in channels}
+        if forgone := self.mapping.left_out & {*self.required}:
+            raise MappingError(
+                f"{', '.join(forgone)} = {LEFT_OUT!r} leaves out a channel that is "
+                "needed; only others can be left out, such as dq"
+            )
+
+        mapped = (name for name in self.named if name in self.mapping.channels)
+        wanted = (*self.required, *self.optional, *mapped)
+        found = {
+            name: self.find(table, known_channel(name, self.mapping.knowledge))
+            for name in wanted or [each for each in self.channels if each != "time"]
+            if name not in self.mapping.left_out
+        }
         return {name: unit for name, unit in found.items() if unit is not None}
 
     def find(self, table: Table, channel: Channel) -> ChannelUnit | None:
@@ -450,10 +442,14 @@ class ChannelRequest:
         return unit
 
     def _find_unmapped(self, table: Table, channel: Channel) -> list[str]:
-        """Return the columns of the robot's joints, or those of usual names, if any.
+        """Return the columns that are named after the robot's joints and a channel.
+
+        Returns:
+            Their names, in the robot's order; without such columns those of usual
+            names; none if there are none.
 
         Raises:
-            ColumnError: Several would fit.
+            ColumnError: Several would fit, as of several arms.
         """
         others = {
             name
@@ -464,17 +460,6 @@ class ChannelRequest:
             columns = {n: v for n, v in table.columns.items() if n not in others}
             table = replace(table, columns=columns)
 
-        return self._find_by_joints(table, channel) or detect_columns(table, channel)
-
-    def _find_by_joints(self, table: Table, channel: Channel) -> list[str]:
-        """Return columns that are named after the robot's joints and a channel.
-
-        Returns:
-            Their names, in the robot's order; none if there are no such columns.
-
-        Raises:
-            ColumnError: Columns of several arms would fit.
-        """
         by_stem = {
             split_unit(name.strip(), channel.units)[0]: name
             for name, values in table.columns.items()
@@ -482,8 +467,10 @@ class ChannelRequest:
         }
         matches = match_joints(by_stem, self.robot)
         named = [match for match in matches if names_channel(match, channel)]
-        chosen = choose_match(named, self.mapping.joint_pattern, channel.name)
-        return [by_stem[stem] for stem in chosen.names] if chosen else []
+        if chosen := choose_match(named, self.mapping.joint_pattern, channel.name):
+            return [by_stem[stem] for stem in chosen.names]
+
+        return detect_columns(table, channel)
 
     def in_joint_order(self, table: Table) -> Table:
         """Return a table whose columns of joints are in the order that is asked for.

@@ -1,7 +1,7 @@
 """What is known of a log before it is read: units, channels, layouts, mappings.
 
 Units, channels and layouts stand in `layouts.toml`; files of the same form add to it,
-see `load_knowledge`. A mapping says which columns of a file are which channels: in
+see `load_layouts`. A mapping says which columns of a file are which channels: in
 code, in TOML, or as options.
 """
 
@@ -209,28 +209,6 @@ def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
     return content
 
 
-def load_knowledge(*paths: str | Path) -> Knowledge:
-    """Return what is known of logs, with what further files of the same form add.
-
-    Args:
-        paths: TOML files; of two that say different things the later one counts.
-
-    Raises:
-        FileAccessError: One cannot be read.
-        MappingError: One is not TOML, or has an entry that is not valid.
-    """
-    content = tomllib.loads(Path(__file__).with_name("layouts.toml").read_text("utf-8"))
-    knowledge = _convert(content)
-    for path in paths:
-        try:
-            content = _merged(content, read_toml(path, "layout"))
-            knowledge = _convert(content)
-        except (FormatError, msgspec.ValidationError) as error:
-            raise MappingError(f"{path}: {error}") from error
-
-    return knowledge
-
-
 def _convert(content: Mapping[str, Any]) -> Knowledge:
     """Return the content of `layouts.toml`; `ValidationError` if it is not valid."""
     entries = content["units"]
@@ -266,12 +244,6 @@ def _merged(old: Any, new: Any) -> Any:
 
     return new
 
-
-KNOWLEDGE = load_knowledge()
-"""What is known without a user's files."""
-
-CHANNELS: Mapping[str, Channel] = KNOWLEDGE.channels
-"""Every channel by the name that mappings use."""
 
 LEFT_OUT = "none"
 """Stands in place of a channel's columns if the channel is not to be read."""
@@ -365,7 +337,9 @@ class ColumnMapping:
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
-    knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
+    knowledge: Knowledge = field(
+        default_factory=lambda: KNOWLEDGE, repr=False, compare=False
+    )
     note: str = ""
 
     def __post_init__(self) -> None:
@@ -446,40 +420,6 @@ def known_channel(name: str, knowledge: Knowledge) -> Channel:
     return knowledge.channels[name]
 
 
-def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMapping:
-    """Read a column mapping from a TOML file.
-
-    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
-    the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
-    `rate_hz` and `joints`, see `ColumnMapping`, and `payload`, which is for commands.
-
-    Raises:
-        FileAccessError: the file cannot be read.
-        MappingError: it is not TOML, or a channel, key, unit or value in it is not
-            valid.
-    """
-    try:
-        content = read_toml(path, "mapping")
-        content.pop("payload", None)
-        return _mapping_of(content, knowledge)
-    except (FormatError, MappingError) as error:
-        raise MappingError(f"{path}: {error}") from error
-
-
-def load_layouts(*paths: str | Path) -> Knowledge:
-    """Return what is known of logs, with files of the form of `layouts.toml` added.
-
-    Raises:
-        FileAccessError: One cannot be read.
-        MappingError: One is not TOML, or an entry in it is not valid.
-    """
-    knowledge = load_knowledge(*paths)
-    for layout in knowledge.layouts:
-        mapping_of_layout(layout, knowledge)
-
-    return knowledge
-
-
 def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
     """Return what the columns of a layout are; `MappingError` if that is not valid."""
     content = {**layout.channels, "rate_hz": layout.rate_hz, "joints": layout.joints}
@@ -512,3 +452,54 @@ def _mapping_of(content: Mapping[str, Any], knowledge: Knowledge) -> ColumnMappi
         raise MappingError(f"{name}: {error}") from error
 
     return replace(mapping, channels=channels, knowledge=knowledge)
+
+
+def load_layouts(*paths: str | Path) -> Knowledge:
+    """Return what is known of logs, with files of the form of `layouts.toml` added.
+
+    Args:
+        paths: TOML files; of two that say different things the later one counts.
+
+    Raises:
+        FileAccessError: One cannot be read.
+        MappingError: One is not TOML, or has an entry that is not valid.
+    """
+    content = tomllib.loads(Path(__file__).with_name("layouts.toml").read_text("utf-8"))
+    knowledge = _convert(content)
+    for path in paths:
+        try:
+            content = _merged(content, read_toml(path, "layout"))
+            knowledge = _convert(content)
+            for layout in knowledge.layouts:
+                mapping_of_layout(layout, knowledge)
+        except (FormatError, msgspec.ValidationError) as error:
+            raise MappingError(f"{path}: {error}") from error
+
+    return knowledge
+
+
+KNOWLEDGE = load_layouts()
+"""What is known without a user's files."""
+
+CHANNELS: Mapping[str, Channel] = KNOWLEDGE.channels
+"""Every channel by the name that mappings use."""
+
+
+def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMapping:
+    """Read a column mapping from a TOML file.
+
+    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
+    the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
+    `rate_hz` and `joints`, see `ColumnMapping`, and `payload`, which is for commands.
+
+    Raises:
+        FileAccessError: the file cannot be read.
+        MappingError: it is not TOML, or a channel, key, unit or value in it is not
+            valid.
+    """
+    try:
+        content = read_toml(path, "mapping")
+        content.pop("payload", None)
+        return _mapping_of(content, knowledge)
+    except (FormatError, MappingError) as error:
+        raise MappingError(f"{path}: {error}") from error

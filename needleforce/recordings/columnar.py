@@ -55,10 +55,13 @@ def read_npz(path: Path, unpacked: UnpackedSize) -> Table:
         for name, array in arrays.items()
         if array.dtype.kind in "fiub" and array.ndim in (1, 2) and array.size
     }
-    others = [name for name in names if name not in (*single, *columns)]
     return Table(
         columns=columns,
-        warnings=tuple(f"array {name!r} was left out: no columns" for name in others),
+        warnings=tuple(
+            f"array {name!r} was left out: no columns"
+            for name in names
+            if name not in (*single, *columns)
+        ),
         start_ns=int(single.get(START_KEY, 0)),
     )
 
@@ -240,7 +243,7 @@ def read_container(path: Path, unpacked: UnpackedSize) -> Table:
             # Of structures in structures, by the names that lead there.
             arrays = pd.json_normalize(content, sep="/").iloc[0]
 
-    return Table(columns={n: v for n, v in arrays.items() if _is_signal(v)})
+    return Table(columns={str(n): v for n, v in arrays.items() if _is_signal(v)})
 
 
 def _is_signal(values: Any) -> bool:

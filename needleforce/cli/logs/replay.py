@@ -62,9 +62,9 @@ def force(
     replay = run_forces(source, robot, sensor, columns)
     name = name_log(source)
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
-    frame = replay.robot.frame_names[1]
-    if replay.config.axes != "base":
-        frame = replay.config.frame or replay.robot.tool_frame
+    base = replay.robot.frame_names[1]
+    tool = replay.config.frame or replay.robot.tool_frame
+    frame = base if replay.config.axes == "base" else tool
     labels = TableLabels(frame=frame, start_ns=replay.log.start_ns)
     rows = replay.rows.drop(columns="after_gap")
     draw = partial(figures.draw_forces, replay, f"Forces: {name}", output.over)
