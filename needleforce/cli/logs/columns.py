@@ -109,9 +109,11 @@ def add_constant_speed(log: Log, text: str, channel: Channel) -> Log:
                 f"--constant-speed {text}: the log has a {unit.channel}: {unit}",
                 f"Leave the option out, or that column: --{unit.channel} none",
             )
-    depth_m = speed_m_s * (log.t_s - log.t_s[0])
-    speeds_m_s = np.full(len(log), speed_m_s)
-    channels = {**log.channels, "depth_m": depth_m, "speed_m_s": speeds_m_s}
+    channels = {
+        **log.channels,
+        "depth_m": speed_m_s * (log.t_s - log.t_s[0]),
+        "speed_m_s": np.full(len(log), speed_m_s),
+    }
     column = f"{text} since the first row"
     unit = ChannelUnit("depth", (column,), ("m",), ("--constant-speed",))
     return replace(log, channels=channels, units=(*log.units, unit))

@@ -64,9 +64,11 @@ def run_forces(
         joints=model.joint_names,
     )
     warn(log.warnings)
-    window = None
-    if sensor.tare is not None:
-        window = parse_window("--tare", sensor.tare, float(log.t_s[0]))
+    window = (
+        parse_window("--tare", sensor.tare, float(log.t_s[0]))
+        if sensor.tare is not None
+        else None
+    )
     try:
         with progress_bar(name_log(source)) as progress:
             replay = replay_sensor(

@@ -59,10 +59,6 @@ _NUMBERS = (
 )
 """Fields of an estimate that are columns as they are."""
 
-_EVENTS = ("rupture", "identified_layer", "retracted")
-"""Fields of an estimate that are None but on the rows of events."""
-
-
 CAPTION = (
     "Above, the axial force as it was recorded, the force that the model predicts, the "
     "enhanced force (less the force in free air and the friction of the layers "
@@ -266,18 +262,21 @@ def estimate_table(
     """
     numbers = np.array(list(map(attrgetter(*_NUMBERS), estimates)), dtype=np.float64)
     table = pd.DataFrame(numbers, columns=_NUMBERS)  # None has become nan
-    table = table.rename(columns={"status.is_used": "used"})
-    for name in _EVENTS:
-        table[name] = [float(getattr(getattr(e, name), "layer", 0)) for e in estimates]
-    identified = [estimate.identified_layer for estimate in estimates]
-    table["is_final"] = [float(getattr(layer, "is_final", 0)) for layer in identified]
-    table["hard_contact"] = [float(each.hard_contact is not None) for each in estimates]
-    table["tissue_moves"] = [
-        float(TissueWarning.TISSUE_MOVES in each.warnings) for each in estimates
-    ]
-    table["depth_in_tissue_m"] = depth_in_tissue_m
     table.insert(0, "t_s", t_s)
-    return table
+    events = {
+        name: [float(getattr(getattr(e, name), "layer", 0)) for e in estimates]
+        for name in ("rupture", "identified_layer", "retracted")
+    }
+    identified = [estimate.identified_layer for estimate in estimates]
+    return table.rename(columns={"status.is_used": "used"}).assign(
+        **events,
+        is_final=[float(getattr(layer, "is_final", 0)) for layer in identified],
+        hard_contact=[float(each.hard_contact is not None) for each in estimates],
+        tissue_moves=[
+            float(TissueWarning.TISSUE_MOVES in each.warnings) for each in estimates
+        ],
+        depth_in_tissue_m=depth_in_tissue_m,
+    )
 
 
 def depth_log(replay: SensorReplay) -> Log:

@@ -93,10 +93,12 @@ class Result:
                 self.units,
             ),
         }
-        for what, settings in self.settings.items():
-            tables[f"Settings of the {what}"] = plots.settings_table(
+        tables |= {
+            f"Settings of the {what}": plots.settings_table(
                 settings, "As in a file for --config, SI units"
             )
+            for what, settings in self.settings.items()
+        }
         sections = [plots.Section(heading="Figures", anchor="figures", figures=figures)]
         sections += [
             plots.Section(

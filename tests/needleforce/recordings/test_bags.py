@@ -173,17 +173,6 @@ def test_slower_topics_are_interpolated_to_the_fastest(tmp_path):
     assert np.isnan(log["depth_m"][91:]).all()
 
 
-def test_gaps_are_not_bridged(tmp_path):
-    second_ns = 1_000_000_000
-    times = [k for k in range(200) if not 50 < k < 150]
-    rows = [("/force_N", k * second_ns // 100, number(k)) for k in range(200)]
-    rows += [("/depth_mm", k * second_ns // 100, number(k)) for k in times]
-    log = read_log(write_bag(tmp_path / "bag", sorted(rows, key=lambda row: row[1])))
-
-    is_known = np.isin(np.arange(200), times)
-    np.testing.assert_array_equal(np.isfinite(log["depth_m"]), is_known)
-
-
 def test_a_bag_that_is_cut_is_read_up_to_there(tmp_path):
     whole = tmp_path / "whole.mcap"
     q_rad = np.arange(12_000.0).reshape(6000, 2)
