@@ -127,7 +127,11 @@ def identify_layers(
     statuses = Counter(estimate.status for estimate in found.estimates)
     _require_used_rows(statuses, ignored, log)
     contact_m = float(found.contact_depths_m[-1])
-    is_contact = np.isfinite(contact_m)
+    zero = (
+        DepthZero(contact_m, FIRST_CONTACT)
+        if np.isfinite(contact_m)
+        else DepthZero(0.0, LOG_ZERO)
+    )
     counted = [
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in ignored.items()
@@ -143,9 +147,7 @@ def identify_layers(
             *(hint.text for hint in found.hints),
             *_describe_later_insertions(log, contact_m),
         ),
-        zero=DepthZero(contact_m, FIRST_CONTACT)
-        if is_contact
-        else DepthZero(0.0, LOG_ZERO),
+        zero=zero,
         method=options.method,
     )
 

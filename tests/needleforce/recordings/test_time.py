@@ -247,13 +247,16 @@ def test_rows_of_several_files_are_numbered_at_a_rate(tmp_path, headers):
         read_log(tmp_path, mapped(rate_hz=100.0), required=["depth", "force"])
 
 
+COLUMNS = ("column_1", "column_2", "column_3")
+
+
 @pytest.mark.parametrize("rows", [ROWS - 100, ROWS + 100])
-@pytest.mark.parametrize("names", [("t_s", "force_N"), ("column_1", "column_2")])
+@pytest.mark.parametrize("names", [("t_s", "q", "force_N"), COLUMNS])
 def test_a_file_whose_columns_differ_in_rows_is_refused_by_name(tmp_path, names, rows):
     write_table(tmp_path / "stage.csv", {"t_s": T_S, "depth_m": 0.01 * T_S})
-    columns = dict(zip(names, (T_S, np.sin(np.arange(rows))), strict=True))
+    columns = dict(zip(names, (T_S, T_S, np.sin(np.arange(rows))), strict=True))
     np.savez(tmp_path / "cell.npz", **columns)
-    with pytest.raises(LogError, match=rf"cell\.npz.*{names[1]}"):
+    with pytest.raises(LogError, match=rf"cell\.npz.*{names[2]}"):
         read_log(tmp_path, required=["depth", "force"])
 
 
