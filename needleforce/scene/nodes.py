@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene.moment import SceneError
 from needleforce.scene.words import shown_name
 from urdf import Robot
@@ -54,22 +55,6 @@ class NeedlePose(NamedTuple):
     axis: Array
 
 
-class PlannedLine(NamedTuple):
-    """A planned path in axes of the robot's base.
-
-    Attributes:
-        entry_m: Where it begins, shape (3,).
-        target_m: Where it ends, shape (3,).
-        axis: Its direction, shape (3,).
-        length_m: From entry to target.
-    """
-
-    entry_m: Array
-    target_m: Array
-    axis: Array
-    length_m: float
-
-
 class PlanScene(NamedTuple):
     """Anatomy and plan as the viewer shows them.
 
@@ -100,21 +85,21 @@ class PlanScene(NamedTuple):
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
 
     @property
-    def path(self) -> PlannedLine | None:
+    def path(self) -> PlannedPath | None:
         """The planned path in the robot's base; None without entry and target.
+
+        How well it is known is the session's to say.
 
         Raises:
             SceneError: The path has no length.
         """
         if self.entry_m is None or self.target_m is None:
             return None
-        entry_m = self.to_robot(self.entry_m)
-        target_m = self.to_robot(self.target_m)
-        length_m = float(np.linalg.norm(target_m - entry_m))
-        if not length_m > 0.0:
-            raise SceneError(f"entry and target are {entry_m}; expected two points")
-        axis = (target_m - entry_m) / length_m
-        return PlannedLine(entry_m, target_m, axis, length_m)
+        ends_m = self.to_robot([self.entry_m, self.target_m])
+        path = PlannedPath.of_std(*ends_m, std_m=0.0)
+        if not path.length_m > 0.0:
+            raise SceneError(f"entry and target are {ends_m}; expected two points")
+        return path
 
 
 EMPTY = PlanScene()

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.plots.needle_view import NeedleView, patient_side
-from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlannedLine, PlanScene
+from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlanScene
 
 PIXELS = 280
 PIXEL_m = 0.4e-3
@@ -35,7 +36,7 @@ along the path, at the target."""
 
 
 def draw_slices(
-    plan: PlanScene, path: PlannedLine, needle: NeedlePose | None
+    plan: PlanScene, path: PlannedPath, needle: NeedlePose | None
 ) -> list[NDArray[np.uint8]]:
     """Return the three pictures, each of shape (n, n, 3).
 
@@ -60,7 +61,7 @@ def draw_slices(
 
 def _draw_plane(
     plan: PlanScene,
-    path: PlannedLine,
+    path: PlannedPath,
     tip_m: Array,
     axes: Array,
     tip_row: int,

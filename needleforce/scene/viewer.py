@@ -18,6 +18,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from foundation.extras import install_command
+from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import CANNOT_TELL
 from needleforce.scene import nodes
 from needleforce.scene.export_page import write_scene_page
@@ -28,7 +29,6 @@ from needleforce.scene.scan_slices import PIXELS, TITLES, PIXEL_m, draw_slices
 from needleforce.scene.words import (
     NOTE,
     describe_depth,
-    describe_rupture,
     describe_state,
     find_banner,
     shown_name,
@@ -208,23 +208,23 @@ class Viewer:
     def _mark(self, moment: Moment) -> None:
         """Mark the rupture of a moment, or retract the latest one."""
         estimate = moment.estimate
-        retracted = estimate.identification.retracted
-        rupture = estimate.identification.rupture
-        if self.marks and retracted is not None:
+        found = estimate.identification
+        if self.marks and found.retracted is not None:
             latest = self.marks[-1]
-            if latest.layer == retracted.layer:
+            if latest.layer == found.retracted.layer:
                 latest.until_s = estimate.time_s
-        if rupture is None:
+        if found.rupture is None:
             return
         needle = self._arm.find_needle(moment.q_rad)
-        label = f"rupture {rupture.layer}"
+        label = f"rupture {found.rupture.layer}"
         name = f"/ruptures/{len(self.marks)}"
         ring = nodes.Ring(self._server, name, nodes.RUPTURE_COLOR, label)
-        depth_m = rupture.depth_m - estimate.depth_m
+        depth_m = found.rupture.depth_m - estimate.depth_m
         ring.move(needle.tip_m + depth_m * needle.axis, needle.axis)
         ring.show(False)  # until its time is shown
-        text = describe_rupture(estimate)
-        self.marks.append(Mark(estimate.time_s, rupture.layer, text, ring))
+        texts = {event.kind: event.text for event in session_events(estimate)}
+        text = shown_name(texts["rupture"])
+        self.marks.append(Mark(estimate.time_s, found.rupture.layer, text, ring))
         self._jumps.visible = True
         with self._jumps:
             button = self._server.gui.add_button(f"{estimate.time_s:.1f} s: {label}")

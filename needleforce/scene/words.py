@@ -99,19 +99,3 @@ def describe_state(estimate: "SessionEstimate") -> Iterator[str]:
         f"all lies {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm "
         "deeper than planned"
     )
-
-
-def describe_rupture(estimate: "SessionEstimate") -> str:
-    """Return the rupture of a tick, and the planned layer that it led into."""
-    rupture = estimate.identification.rupture
-    if rupture is None:
-        return ""
-    zero = find_depth_zero(estimate)
-    depth_mm = zero.shown_mm(rupture.depth_m)
-    text = f"rupture {rupture.layer} at {depth_mm:.1f} mm {zero.name}"
-    plan = estimate.plan
-    if plan is None or not plan.matched_name:
-        return text
-    into = "into " if plan.matched >= 0 else ""
-    percent = 100.0 * plan.matched_probability
-    return f"{text}: {into}{shown_name(plan.matched_name)} ({percent:.0f} %)"
