@@ -255,7 +255,7 @@ class NeedleNode(LifecycleNode):
     def _take_joint_state(self, message: Any) -> None:
         """Update the session with a joint state, and publish its estimate."""
         sample = self._reader.read(message)
-        if sample is None:
+        if sample is None or sample.tau_Nm is None:
             return
         self._is_silent = False
         self._heard_s = time.monotonic()

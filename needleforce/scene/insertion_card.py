@@ -76,8 +76,9 @@ def _verdict_html(estimate: "SessionEstimate | None") -> str:
     if estimate is None:
         return _box_html(GREY, "PLANNED", "waiting for the first sample")
     if estimate.deviation is None:
-        text = "no state of the needle on the plan yet"
-        return _box_html(AMBER, CANNOT_TELL.upper(), text)
+        return _box_html(
+            AMBER, CANNOT_TELL.upper(), "no state of the needle on the plan yet"
+        )
     banner = find_banner(estimate)
     if not banner:
         return _box_html(GREEN, ON_PLAN.upper(), "")

@@ -73,13 +73,12 @@ def describe_state(estimate: "SessionEstimate") -> Iterator[str]:
     """Yield where the needle is, the forces, and what they say of the plan."""
     found = estimate.identification
     yield f"{estimate.time_s:.1f} s at {describe_depth(estimate)}, layer {found.layer}"
-    status = estimate.status
-    doubt = "" if status.value == "ok" else f" ({status.value})"
+    status = estimate.status.value
+    doubt = "" if status == "ok" else f" ({status})"
     wrench = estimate.wrench
     yield f"force {wrench.axial:.2f} ± {wrench.axial_std:.2f} N{doubt}"
-    tip_std_N = found.tip_force_std_N or 0.0
     yield (
-        f"tip force {found.tip_force_N:.2f} ± {tip_std_N:.2f} N, "
+        f"tip force {found.tip_force_N:.2f} ± {found.tip_force_std_N or 0.0:.2f} N, "
         f"shaft friction {found.shaft_friction_N:.2f} N"
     )
     if estimate.deviation is not None:

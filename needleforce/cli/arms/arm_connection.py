@@ -261,7 +261,6 @@ def record_signals(
         The exit code.
     """
     check_writable(output, overwrites=overwrites)  # before the arm is waited for
-    has_torque = True
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, described),
         Recorder(
@@ -276,7 +275,6 @@ def record_signals(
         try:
             for sample in samples_until_stopped(arm, options):
                 recorder.put(sample)
-                has_torque = sample.tau_Nm is not None
         except LinkError as error:
             if not recorder.rows:
                 raise
@@ -285,6 +283,6 @@ def record_signals(
                 f"{recorder.time_s:.3f} s"
             ) from error
     say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
-    if not has_torque:
+    if arm_name.startswith("ur:") and options.motor_constants is None:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0

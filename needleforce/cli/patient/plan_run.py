@@ -1,7 +1,7 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
 from collections.abc import Sequence
-from importlib.util import find_spec
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from needleforce.anatomy.path_search import PathLimits, SkinPath
 from needleforce.anatomy.volume import is_known
 from needleforce.cli.options import PathOptions, PointOptions
 from needleforce.cli.patient import case_files
+from needleforce.cli.patient.plan_page import write_plan_page
 from needleforce.cli.terminal import (
     CommandError,
     progress_bar,
@@ -291,41 +292,24 @@ def _write_page(
     needed_m: float,
     folder: Path,
 ) -> None:
-    """Write the page of a plan, and the 3-D page where viser is installed."""
+    """Write the page of a plan."""
     labels = case.labels
     along = draw_along(case.scan, labels, path, folder / "along.png")
-    across = draw_probe_view(
-        case.scan, labels, path, needed_m, folder / "probes-eye.png"
+    place = folder / "probes-eye.png"
+    across = draw_probe_view(case.scan, labels, path, needed_m, place)
+    write_plan_page(
+        folder,
+        f"Plan: {target}",
+        case_files.NOT_MEDICAL,
+        table,
+        {ALONG: along, ACROSS: across},
+        partial(_write_scene, labels, path),
+        paragraphs=[
+            f"{name}, LPS: {(M_TO_MM * place_m).round(1)} mm"
+            for name, place_m in (("Entry", path.entry_m), ("Target", path.target_m))
+        ],
+        notices=[*filter(None, (labels.unchecked,))],
     )
-    in_space = "3-D view: not drawn, the extra `scene` is not installed."
-    if find_spec("viser") is not None:
-        _write_scene(labels, path, folder / "scene.html")
-        in_space = "3-D view: open `scene.html` in the same folder."
-    ends = [
-        f"{name}, LPS: {(M_TO_MM * place_m).round(1)} mm"
-        for name, place_m in (("Entry", path.entry_m), ("Target", path.target_m))
-    ]
-    sections = (
-        plots.Section(
-            heading=f"Path to {target}",
-            anchor="path",
-            paragraphs=(*ends, in_space),
-            notices=tuple(filter(None, (labels.unchecked,))),
-            tables=(table,),
-        ),
-        plots.Section(
-            heading="Slices",
-            anchor="slices",
-            figures=(
-                plots.PageFigure(path=along, alt=ALONG, caption=ALONG),
-                plots.PageFigure(path=across, alt=ACROSS, caption=ACROSS),
-            ),
-        ),
-    )
-    page = plots.Page(
-        title=f"Plan: {target}", lead=(case_files.NOT_MEDICAL,), sections=sections
-    )
-    plots.write_page(folder / plots.PAGE, page)
 
 
 def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:

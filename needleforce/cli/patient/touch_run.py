@@ -3,7 +3,7 @@
 import select
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def record_touches(
         wanted = read_markup(landmarks, points.unit, points.frame)
     names = wanted.names
     places_m: list[Array] = []
-    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as arm:
+    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as (arm, _):
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
             for touch in _touches(arm, options, contact_N):
@@ -116,10 +116,9 @@ def _next(names: tuple[str, ...], places_m: Sequence[Array]) -> str:
     return "; next: the skin, anywhere around the entry"
 
 
-@contextmanager
 def _open_touching_arm(
     name: str, robot: RobotOptions, options: ArmOptions, landmarks_m: Array
-) -> Iterator[Any]:
+) -> AbstractContextManager[tuple[Any, RobotOptions]]:
     """Open the arm that a user names, or a simulated one that touches a plan's patient.
 
     Args:
@@ -129,15 +128,12 @@ def _open_touching_arm(
         landmarks_m: Points that the simulated arm touches first, shape (n, 3).
     """
     kind, _, plan = name.partition(":")
-    if kind == "sim" and plan.endswith(".json"):
-        fields = case_files.read_plan_fields(Path(plan))
-        labels = case_files.case_of_plan(fields, Path(plan).parent).labels
-        with progress_bar("simulating"):
-            arm = touch_patient(fields, labels, landmarks_m)
-        yield arm
-        return
-    with open_arm(name, robot, options.motor_constants) as (arm, _):
-        yield arm
+    if kind != "sim" or not plan.endswith(".json"):
+        return open_arm(name, robot, options.motor_constants)
+    fields = case_files.read_plan_fields(Path(plan))
+    labels = case_files.case_of_plan(fields, Path(plan).parent).labels
+    with progress_bar("simulating"):
+        return nullcontext((touch_patient(fields, labels, landmarks_m), robot))
 
 
 def _touches(
