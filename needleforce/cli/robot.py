@@ -143,8 +143,8 @@ def _check_robot_options(options: RobotOptions) -> None:
     """Refuse options of the robot that contradict each other, or are in other units."""
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots, expected one of them")
-    for_urdf = (options.lock, options.lock_others, options.accept_inertia)
-    if any(for_urdf) and options.urdf is None:
+    is_for_urdf = options.lock or options.lock_others or options.accept_inertia
+    if is_for_urdf and options.urdf is None:
         raise CommandError(
             "--lock, --lock-others and --accept-inertia are for a robot of --urdf "
             "FILE; known robots have no joints to lock and all their inertia"
@@ -369,9 +369,8 @@ def labels_of_arm(options: RobotOptions, robot: Robot) -> TableLabels:
         options: Options that describe the robot.
         robot: The arm.
     """
-    description = urdf_with_shapes(options).read_text("utf-8", errors="replace")
     return TableLabels(
         joint_names=robot.joint_names,
-        robot_description=description,
+        robot_description=urdf_with_shapes(options).read_text("utf-8", "replace"),
         link_poses=partial(link_poses, robot),
     )

@@ -2,7 +2,7 @@
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +34,7 @@ from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S
 from needleforce.recorder import Recorder
 from needleforce.recordings.output import check_writable
+from needleforce.ros2 import require_ros
 from needleforce.simulation.patient import insert_into_patient
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -91,14 +92,19 @@ def open_arm(
                 OTHER_ROBOT,
             )
         robot = robot_from_options(described, None)
-        settings: dict[str, Any] = {"takes_commands": takes_commands, "robot": robot}
         if kind == "ros2":
+            require_ros()
             from needleforce.ros2.arm import Ros2Arm
 
-            opened: Any = Ros2Arm(place, robot.joint_names, **settings)
+            opened: Any = Ros2Arm(
+                place, robot.joint_names, takes_commands=takes_commands, robot=robot
+            )
         else:
             opened = devices.connect_arm(
-                name, torque_constant_Nm_A=constants_Nm_A, **settings
+                name,
+                takes_commands=takes_commands,
+                robot=robot,
+                torque_constant_Nm_A=constants_Nm_A,
             )
         arm = stack.enter_context(opened)
         if arm.joints != robot.nv:
@@ -189,11 +195,7 @@ def limits_of(arm: GuardedArm | SimulatedArm) -> Limits:
 
 
 def samples_until_stopped(
-    arm: Any,
-    options: ArmOptions,
-    *,
-    is_paced: bool = True,
-    show_silence: Callable[[float], None] = say_silence,
+    arm: Any, options: ArmOptions, *, is_paced: bool = True
 ) -> Iterator[ArmReading]:
     """Yield samples until the time is over or a signal ends it.
 
@@ -203,7 +205,6 @@ def samples_until_stopped(
         arm: A connection of `needleforce.devices`.
         options: For how long it is listened to.
         is_paced: A simulated arm sends in real time, else as fast as it can.
-        show_silence: Called every 0.1 s of a silence with its length [s].
 
     Raises:
         CommandError: Nothing came until then.
@@ -216,7 +217,7 @@ def samples_until_stopped(
         for number in (signal.SIGTERM, signal.SIGHUP)
         if signal.getsignal(number) != signal.SIG_IGN
     ]
-    arm.on_silence = show_silence
+    arm.on_silence = say_silence
     passed_s = 0.0
     with stop_request(*signals, then=arm.end) as is_asked:
         for sample in pace(arm) if is_paced and isinstance(arm, ReplayArm) else arm:

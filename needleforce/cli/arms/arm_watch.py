@@ -192,37 +192,36 @@ def _open_tared_arm(
         CommandError: The user says no, or the arm sends no torques.
     """
     constants_Nm_A = options.motor_constants
-    if stroke_m is None:
-        with open_arm(name, robot, constants_Nm_A) as (arm, described):
-            yield arm, described, InsertionSession(arm.robot)
-        return
-    if name.startswith("ur:") and constants_Nm_A is None:
-        raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
-    leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
-    text = (
-        f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and return "
-        f"in {2.0 * leg_s:.0f} s."
-    )
-    if not is_confirmed:
-        ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
-    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(name, robot, constants_Nm_A, takes_commands=True) as (arm, described):
-        session = InsertionSession(arm.robot)
-        say(text)
-        tare_with_stroke(
-            arm,
-            session,
-            limits_of(arm),
-            stroke_m=stroke_m,
-            leg_s=leg_s,
-            robot=arm.robot,
+    session = None
+    if stroke_m is not None:
+        if name.startswith("ur:") and constants_Nm_A is None:
+            raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
+        leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
+        text = (
+            f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and "
+            f"return in {2.0 * leg_s:.0f} s."
         )
-        say("tared")
-        if isinstance(arm, SimulatedArm):
-            yield _RestingArm(arm), described, session
-            return
+        if not is_confirmed:
+            ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
+        compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
+        opened = open_arm(name, robot, constants_Nm_A, takes_commands=True)
+        with opened as (arm, described):
+            session = InsertionSession(arm.robot)
+            say(text)
+            tare_with_stroke(
+                arm,
+                session,
+                limits_of(arm),
+                stroke_m=stroke_m,
+                leg_s=leg_s,
+                robot=arm.robot,
+            )
+            say("tared")
+            if isinstance(arm, SimulatedArm):
+                yield _RestingArm(arm), described, session
+                return
     with open_arm(name, robot, constants_Nm_A) as (arm, described):
-        yield arm, described, session
+        yield arm, described, session or InsertionSession(arm.robot)
 
 
 @contextmanager

@@ -134,8 +134,8 @@ def register_plan(
         expected_mm = np.hypot(transform_std_mm or 0.0, errors.touch_std)
         _require_touched_skin(distances_m, M_PER_MM * expected_mm.item())
     added = _fit_fields(fields, fit, residuals, distances_m, M_PER_MM * errors.motion)
-    rows = _rows(fit, residuals, distances_m, added)
-    write_out(f"{aligned(rows)}{case_files.NOT_MEDICAL}\n")
+    report = aligned(_rows(fit, residuals, distances_m, added))
+    write_out(f"{report}{case_files.NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
     moved = {
         key: case_files.relative_path(folder / fields[key], output.parent)

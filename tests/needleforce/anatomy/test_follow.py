@@ -209,7 +209,7 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     said = capsys.readouterr().out
     for pattern in (
         r"rupture of layer 1 at 2\d\.\d mm .*by the plan into behind",
-        r"in outside \(\d+ ?%\), gel at .*in gel \(\d+ ?%\), behind at .* offset",
+        r"in outside \(\d+ ?%\), gel at .*in gel \(\d+ ?%\), behind at .* deeper",
     ):
         assert re.search(pattern, said, re.DOTALL)
 
