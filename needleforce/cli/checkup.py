@@ -75,15 +75,12 @@ def _describe_extra(extra: str) -> str:
     if extra == "ros2":  # which no package index installs
         modules = ["rclpy"]
         command = "docs/how-to/ros2.md"
-    missing = [
+    missing = ", ".join(
         name for name in modules if find_spec(name) is None and not _version_of(name)
-    ]
+    )
     if not missing:
         return f"extra, installed: {EXTRAS[extra]}"
-    return (
-        f"extra, not installed: {EXTRAS[extra]} (missing: {', '.join(missing)}; "
-        f"{command})"
-    )
+    return f"extra, not installed: {EXTRAS[extra]} (missing: {missing}; {command})"
 
 
 def _version_of(name: str) -> str | None:

@@ -1,5 +1,6 @@
 """The commands: what each says in its help, and what runs it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -401,7 +402,7 @@ def ros2_command(
 
     needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
     """
-    from needleforce.cli.robot import robot_from_options, robot_from_text
+    from needleforce.cli.robot import file_of_description, robot_from_options
     from needleforce.cli.session_parts import load_plan
     from needleforce.ros2 import require_ros
 
@@ -414,7 +415,9 @@ def ros2_command(
         """Return the arm of the options, else that of the topic."""
         if robot.is_named:
             return robot_from_options(robot, None)
-        return robot_from_text(wait_for_description(), "robot_description", robot)
+        text = wait_for_description()
+        with file_of_description(text, "robot_description") as path:
+            return robot_from_options(replace(robot, urdf=path), None)
 
     run_node(
         ros_arguments,

@@ -315,9 +315,14 @@ class RobotOptions:
         return self.robot is not None or self.urdf is not None
 
     @property
+    def known_robot(self) -> str:
+        """The known arm that is meant without ``--urdf``, by its name in `urdf`."""
+        return "lwr4plus" if self.robot in (None, "lwr") else self.robot
+
+    @property
     def is_lwr(self) -> bool:
         """Whether the robot is the known LWR 4+, as without a name."""
-        return self.urdf is None and self.robot in (None, "lwr", "lwr4plus")
+        return self.urdf is None and self.known_robot == "lwr4plus"
 
 
 @Parameter(name="*", group=SENSOR)

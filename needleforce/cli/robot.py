@@ -3,11 +3,10 @@
 Arm, payload, friction and settings.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -23,7 +22,6 @@ from needleforce.cli.terminal import OTHER_ROBOT, CommandError, warn
 from needleforce.recordings.channels import read_toml
 from needleforce.recordings.table import LinkTransforms, TableLabels
 from urdf import NeedleTool, Payload, Robot
-from urdf.errors import finite_array
 from urdf.joint_choice import joints_towards, movable_joints
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -56,42 +54,39 @@ def robot_from_options(
     load: dict[str, Any] = {
         "payload": payload_from_options(options, mapping),
         "gravity_m_s2": np.array(options.gravity or STANDARD_GRAVITY_M_S2),
-    }
-    if options.is_lwr:
-        return urdf.load_lwr(**load)  # nothing in it is odd
-    load |= {
         "tool_frame": options.tool_frame,
         "tool_placement": options.tip_offset,
         "without": options.without,
     }
     if options.urdf is None:
-        robot = urdf.load_example(str(options.robot), **load)
-    else:
-        locked_joints = dict(map(_parse_lock, options.lock))
-        kept_joints = None
-        if options.lock_others:
-            kept_joints = joints_to_keep(options, locked_joints, joints)
-        robot = urdf.load_urdf(
-            options.urdf,
-            locked_joints=locked_joints,
-            keep_joints=kept_joints,
-            check_inertias=not options.accept_inertia,
-            **load,
-        )
-        if kept_joints is not None:
-            assumed = assumed_positions(options, {*kept_joints, *locked_joints})
-            robot = replace(robot, warnings=robot.warnings + assumed)
+        robot = urdf.load_example(options.known_robot, **load)
+        warn(robot.warnings)
+        return robot
+    locked_joints = dict(map(_parse_lock, options.lock))
+    kept_joints = None
+    assumed: tuple[str, ...] = ()
+    if options.lock_others:
+        kept_joints, assumed = _keep_joints(options, locked_joints, joints)
+    robot = urdf.load_urdf(
+        options.urdf,
+        locked_joints=locked_joints,
+        keep_joints=kept_joints,
+        check_inertias=not options.accept_inertia,
+        **load,
+    )
+    robot = replace(robot, warnings=robot.warnings + assumed)
     warn(robot.warnings)
     return robot
 
 
-def joints_to_keep(
+def _keep_joints(
     options: RobotOptions, locked: Mapping[str, float], joints: Sequence[str | None]
-) -> tuple[str, ...]:
-    """Return the joints that ``--lock-others`` leaves.
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints that ``--lock-others`` leaves, and a warning of assumed ones.
 
-    They are those that the log names. Of a log that names none they are as many as it
-    has on the way to the tool, the nearest to the tool: a torso or a rail comes first.
+    Those that the log names stay. Of a log that names none as many stay as it has on
+    the way to the tool, the nearest to the tool: a torso or a rail comes first. Other
+    joints on that way are assumed to be at zero.
 
     Args:
         options: Options of the command, with ``--urdf``.
@@ -102,79 +97,57 @@ def joints_to_keep(
         CommandError: The joints of the log are none of the robot's.
     """
     path = Path(str(options.urdf))
+    way: tuple[str, ...] = ()
+    with suppress(urdf.UnknownNameError):  # no single last link
+        way = joints_towards(path, options.tool_frame, options.without)
     movable = [
         name for name in movable_joints(path, options.without) if name not in locked
     ]
     kept = tuple(name for name in movable if name in joints)
-    if kept:
-        return kept
     if not any(joints):
-        if len(joints) == len(movable):
-            return tuple(movable)
-        towards = joints_towards(path, options.tool_frame, options.without)
-        route = tuple(name for name in towards if name not in locked)
-        if len(joints) <= len(route):
-            return route[-len(joints) :]
-    named = ", ".join(map(str, filter(None, joints))) or f"{len(joints)} columns each"
-    raise CommandError(
-        f"--lock-others: the log has the joints {named}, the robot "
-        f"{', '.join(movable)}: they do not fit; name the robot's in the order of the "
-        "log with joints = [...] in the file of --mapping",
-        OTHER_ROBOT,
-    )
-
-
-def assumed_positions(
-    options: RobotOptions, chosen: Collection[str]
-) -> tuple[str, ...]:
-    """Return a warning of joints that carry the tool and are locked at zero unasked.
-
-    Args:
-        options: Options of the command, with ``--urdf``.
-        chosen: Joints that the log or ``--lock`` names.
-    """
-    path = Path(str(options.urdf))
-    route: tuple[str, ...] = ()
-    with suppress(urdf.UnknownNameError):  # no single last link
-        route = joints_towards(path, options.tool_frame, options.without)
-    assumed = [name for name in route if name not in chosen]
+        is_whole = len(joints) == len(movable)
+        free = movable if is_whole else [name for name in way if name not in locked]
+        kept = tuple(free[-len(joints) :]) if 0 < len(joints) <= len(free) else ()
+    if not kept:
+        named = ", ".join(filter(None, joints)) or f"{len(joints)} columns each"
+        raise CommandError(
+            f"--lock-others: the log has the joints {named}, the robot "
+            f"{', '.join(movable)}: they do not fit; name the robot's in the order of "
+            "the log with joints = [...] in the file of --mapping",
+            OTHER_ROBOT,
+        )
+    assumed = ", ".join(name for name in way if name not in {*kept, *locked})
     if not assumed:
-        return ()
-    return (
+        return kept, ()
+    return kept, (
         f"{path}: joints on the way to the tool that the log does not have are locked "
-        f"at 0: {', '.join(assumed)}; --lock JOINT=POSITION where one stands elsewhere",
+        f"at 0: {assumed}; --lock JOINT=POSITION where one stands elsewhere",
     )
 
 
-def robot_from_text(text: str, source: str, options: RobotOptions) -> Robot:
-    """Return the robot of a description that no file has; errors name its source.
+@contextmanager
+def file_of_description(text: str, name: str) -> Iterator[str]:
+    """Keep a description that no file has in one, for the options of a robot.
 
     Args:
         text: URDF.
-        source: Whence it came, such as ``robot_description``.
-        options: Options of the command, without ``--urdf``.
+        name: Name of the file, by which errors call it.
     """
     with TemporaryDirectory() as folder:
-        path = Path(folder, source)
+        path = Path(folder, name)
         path.write_text(text, encoding="utf-8")
-        return robot_from_options(replace(options, urdf=str(path)), None)
+        yield str(path)
 
 
 def _check_robot_options(options: RobotOptions) -> None:
     """Refuse options of the robot that contradict each other, or are in other units."""
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots, expected one of them")
-    for_urdf = (options.lock, options.lock_others, options.accept_inertia)
-    if any(for_urdf) and options.urdf is None:
+    is_for_urdf = options.lock or options.lock_others or options.accept_inertia
+    if is_for_urdf and options.urdf is None:
         raise CommandError(
             "--lock, --lock-others and --accept-inertia are for a robot of --urdf "
             "FILE; known robots have no joints to lock and all their inertia"
-        )
-    for_tool = (options.tool_frame, options.tip_offset, options.without)
-    if any(for_tool) and options.is_lwr:
-        raise CommandError(
-            "--tool-frame, --tip-offset and --without describe a robot of --robot "
-            "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
         )
     # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
     if options.gravity and not 9.7 <= np.linalg.norm(options.gravity) <= 9.9:
@@ -200,9 +173,7 @@ def urdf_with_shapes(options: RobotOptions) -> Path:
     """Return the file whose shapes the scene shows."""
     if options.urdf is not None:
         return Path(options.urdf)
-    if options.is_lwr:
-        return Path(str(files("urdf.data") / "lwr4plus.urdf"))
-    return Path(urdf.example_robot_path(str(options.robot)))
+    return urdf.example_robot_path(options.known_robot)
 
 
 def payload_from_options(
@@ -289,17 +260,11 @@ def with_friction(
             f"{' or '.join(models)}, and rotor_inertia_kg_m2 if it counts"
         )
     if rotor_inertia is not None:
-        where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
-        robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
-    friction = None
-    for name, table in tables.items():
-        friction = convert_table(models[name], table, f"{path}: [{name}]")
-        for item in fields(friction):
-            values = getattr(friction, item.name)
-            if isinstance(values, np.ndarray):
-                where = f"{path}: [{name}]: {item.name}, one number per joint,"
-                finite_array(values, (robot.nv,), where)
-    return robot, friction
+        robot = robot.with_armature(rotor_inertia)
+    if not tables:
+        return robot, None
+    ((name, table),) = tables.items()
+    return robot, convert_table(models[name], table, f"{path}: [{name}]")
 
 
 def sensor_config(
@@ -388,12 +353,12 @@ def link_poses(robot: Robot, q_rad: np.ndarray) -> LinkTransforms:
         if (frame.type == pin.BODY or index == robot.tool_frame_id)
         and frame.name not in (root, "universe")
     }
-    rotations = [pin.Quaternion(pose.rotation).coeffs() for pose in poses.values()]
+    rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses.values()])
     return LinkTransforms(
         parent=root,
         children=tuple(poses),
-        translation_m=np.array([pose.translation for pose in poses.values()]),
-        rotation_xyzw=np.array(rotations),
+        translation_m=rows[:, :3],
+        rotation_xyzw=rows[:, 3:],
     )
 
 
@@ -404,9 +369,8 @@ def labels_of_arm(options: RobotOptions, robot: Robot) -> TableLabels:
         options: Options that describe the robot.
         robot: The arm.
     """
-    description = urdf_with_shapes(options).read_text("utf-8", errors="replace")
     return TableLabels(
         joint_names=robot.joint_names,
-        robot_description=description,
+        robot_description=urdf_with_shapes(options).read_text("utf-8", "replace"),
         link_poses=partial(link_poses, robot),
     )

@@ -3,9 +3,8 @@
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.util import find_spec
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -51,10 +50,6 @@ class CommandError(NeedleforceError, ValueError):
     usual_advice = "--help says what each option means"
 
 
-class _Terminated(BaseException):
-    """SIGTERM, which by default would leave unfinished files behind."""
-
-
 def run_command(work: Callable[[], int]) -> int:
     """Run a command; every foreseen failure is one line on stderr and an exit code.
 
@@ -63,10 +58,14 @@ def run_command(work: Callable[[], int]) -> int:
 
     Returns:
         The exit code.
+
+    Raises:
+        SystemExit: SIGTERM came, which by default would leave unfinished files behind.
     """
 
     def terminate(_number: int, _frame: FrameType | None) -> None:
-        raise _Terminated
+        say("terminated")
+        raise SystemExit(TERMINATED)
 
     try:
         with handled(terminate, signal.SIGTERM):
@@ -74,26 +73,20 @@ def run_command(work: Callable[[], int]) -> int:
             write_out("")
         return code
     except BrokenPipeError:
-        _close_output()
         return READER_GONE
-    except _Terminated:
-        say("terminated")
-        return TERMINATED
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
         say(f"error: {describe_error(_foreseen(error))}")
         return FAILED
+    finally:
+        _close_output_if_it_fails()
 
 
 def _foreseen(error: Exception) -> NeedleforceError:
     """Return a foreseen failure; raise what was not foreseen."""
     if isinstance(error, NeedleforceError):
-        try:
-            write_out("")
-        except OSError:  # what a full disk has refused would be tried again at the end
-            _close_output()
         return error
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name)):
         return _not_installed("this", str(error.name), extra)
@@ -102,9 +95,20 @@ def _foreseen(error: Exception) -> NeedleforceError:
     if not isinstance(error, OSError) or error.filename is not None:
         raise error
     # A failure without a file is one of standard output; others say which file.
-    _close_output()
     reason = f"cannot write standard output: {error.strerror or error}"
     return CommandError(reason, OTHER_PLACE)
+
+
+def _close_output_if_it_fails() -> None:
+    """Let what is still buffered go nowhere where it cannot be written.
+
+    Python would try again at its end, and complain.
+    """
+    try:
+        write_out("")
+    except OSError:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def describe_error(error: NeedleforceError) -> str:
@@ -143,15 +147,12 @@ def handled(
 ) -> Iterator[None]:
     """Let a handler have signals while the block runs.
 
-    Only a process's first thread may; in others nothing changes.
+    Only a process's first thread may.
 
     Args:
         handler: What takes number and frame of a signal.
         numbers: The signals.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     replaced = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
@@ -194,15 +195,16 @@ def progress_bar(label: str) -> Iterator[Progress]:
     Args:
         label: What is done.
     """
-    if sys.stderr is None or not sys.stderr.isatty():
-        yield lambda _: None
-        return
     from rich.console import Console
     from rich.progress import Progress
 
+    console = Console(stderr=True)
     # What is said meanwhile stands above the bar; the bar leaves no trace.
     with Progress(
-        console=Console(stderr=True), transient=True, redirect_stdout=False
+        console=console,
+        transient=True,
+        redirect_stdout=False,
+        disable=not console.is_terminal,
     ) as bar:
         task = bar.add_task(label, total=None)
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
@@ -257,12 +259,6 @@ def write_out(text: str, *, to_stderr: bool = False) -> None:
         encoding = stream.encoding or "utf-8"
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
-
-
-def _close_output() -> None:
-    """Let what is still buffered go nowhere, or Python would complain at its end."""
-    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def limit_library_threads() -> None:

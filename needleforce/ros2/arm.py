@@ -31,14 +31,8 @@ from needleforce.recordings.joint_names import match_joints
 from needleforce.ros2.joint_samples import JointReader
 from urdf import Robot
 
-CONTROLLER = "/forward_velocity_controller"
-"""As examples of ros2_control name it."""
-
 CYCLE_S = 0.002
 """Of the commands."""
-
-MAX_START_S = 10.0
-"""Time within which publisher and subscription find each other, and a state comes."""
 
 MAX_SILENCE_S = 2.0
 """Silence after which an arm that has sent is lost [s]."""
@@ -55,7 +49,8 @@ class Ros2Arm(GuardedArm):
         topic: Such as ``/joint_states``.
         joint_names: The arm's joints, in its order.
         takes_commands: Whether it shall move; otherwise it is only listened to.
-        controller: Name of the controller's node, active and of velocities.
+        controller: Name of the controller's node, active and of velocities; by default
+            as examples of ros2_control name it.
         robot: The model of the arm, needed to move.
         preset: Limits of commands, or their name in `ARM_LIMITS`; None for speeds and
             stops of the model, with acceleration and jerk of ours.
@@ -75,7 +70,7 @@ class Ros2Arm(GuardedArm):
         joint_names: tuple[str, ...],
         *,
         takes_commands: bool = False,
-        controller: str = CONTROLLER,
+        controller: str = "/forward_velocity_controller",
         robot: Robot | None = None,
         preset: str | ArmLimits | None = None,
     ) -> None:
@@ -90,10 +85,14 @@ class Ros2Arm(GuardedArm):
         self.preset = preset or limits_with_our_rates(
             tuple(speed_rad_s), CYCLE_S, "of the model"
         )
-        # Joint states may come at 100 Hz: a velocity holds for five of those.
-        hold_cycles = round(0.05 / CYCLE_S)
         super().__init__(
-            joints, robot, MAX_START_S, cycle_s=CYCLE_S, hold_cycles=hold_cycles
+            joints,
+            robot,
+            # Publisher and subscription find each other, and a state comes [s].
+            give_up_s=10.0,
+            cycle_s=CYCLE_S,
+            # Joint states may come at 100 Hz: a velocity holds for five of those.
+            hold_cycles=round(0.05 / CYCLE_S),
         )
         self._topic = topic
         self._reader = JointReader(joint_names)
@@ -135,15 +134,8 @@ class Ros2Arm(GuardedArm):
         self._stated_s = monotonic()
         self._place_rad = sample.q_rad
         self._readings.append(
-            ArmReading(
-                dt_s=sample.dt_s,
-                q_rad=sample.q_rad,
-                dq_rad_s=sample.dq_rad_s,
-                tau_Nm=sample.effort_Nm,
-                external_Nm=None,
-                missed=0,  # a topic has no cycles that could be counted
-                accepts_commands=self._accepts_commands,
-                is_real=self._takes_commands,
+            sample._replace(
+                accepts_commands=self._accepts_commands, is_real=self._takes_commands
             )
         )
 

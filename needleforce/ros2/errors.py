@@ -23,15 +23,6 @@ class Ros2ParameterError(Ros2Error, ValueError):
     """A parameter that is unknown or cannot be; the message says what is expected."""
 
 
-class MissingDescriptionError(Ros2Error, TimeoutError):
-    """No description of the arm was published; the message names the topic."""
-
-    usual_advice = (
-        "Start robot_state_publisher, remap robot_description to its topic, or "
-        "describe the arm with --urdf FILE or --robot NAME."
-    )
-
-
 def require_ros(*modules: str) -> None:
     """Find out whether this Python can import ROS 2.
 
@@ -46,7 +37,7 @@ def require_ros(*modules: str) -> None:
         try:
             import_module(name)
         except ImportError as error:
-            version = ".".join(map(str, sys.version_info[:2]))
             raise MissingRosError(
-                f"Python {version} cannot import {name} of ROS 2 ({error})"
+                f"Python {sys.version.split()[0]} cannot import {name} of ROS 2 "
+                f"({error})"
             ) from error

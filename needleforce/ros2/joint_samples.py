@@ -2,32 +2,14 @@
 
 from collections import Counter
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from foundation.arrays import Array
+from needleforce.devices import ArmReading
 from needleforce.recordings.joint_names import match_joints
 
 NS_PER_S = 10**9
-
-
-class JointSample(NamedTuple):
-    """Joint signals of one stamp, in the robot's order.
-
-    Attributes:
-        stamp_ns: Time stamp of the message [ns].
-        dt_s: Time since the sample before [s]; 0 of the first.
-        q_rad: Positions, shape (n,).
-        dq_rad_s: Velocities, shape (n,); None where the arm sends none.
-        effort_Nm: Torques, shape (n,).
-    """
-
-    stamp_ns: int
-    dt_s: float
-    q_rad: Array
-    dq_rad_s: Array | None
-    effort_Nm: Array
 
 
 class JointReader:
@@ -46,6 +28,7 @@ class JointReader:
             values than names, or lost velocities), `without_effort`, `stale`.
         problem: Why nothing could be used so far, in a sentence; empty if it could.
         longest_gap_s: Longest time between the stamps of two samples [s].
+        stamp_ns: Time stamp of the latest sample [ns]; 0 before any.
     """
 
     def __init__(self, joints: tuple[str, ...], pattern: str = "") -> None:
@@ -53,13 +36,16 @@ class JointReader:
         self._pattern = pattern or "*"
         self._orders: dict[tuple[str, ...], list[int]] = {}
         self._has_velocity: bool | None = None
-        self._latest_ns: int | None = None
         self.counts = Counter[str]()
         self.problem = "no joint state has come"
         self.longest_gap_s = 0.0
+        self.stamp_ns = 0
 
-    def read(self, message: Any) -> JointSample | None:
-        """Return the sample of a message, or None, with a count, if it has none."""
+    def read(self, message: Any) -> ArmReading | None:
+        """Return the sample of a message, or None, with a count, if it has none.
+
+        Its torques are the efforts; its time step is 0 of the first one.
+        """
         order = self._find_order(tuple(message.name))
         if not order:
             self.counts["other_joints"] += 1
@@ -72,10 +58,10 @@ class JointReader:
                 "expected the measured torques, or an external_torque_topic"
             )
             return None
+        has_velocity = len(message.velocity) == width
         if self._has_velocity is None:
-            self._has_velocity = len(message.velocity) == width
-        has_lost_velocity = self._has_velocity and len(message.velocity) != width
-        if len(message.position) != width or has_lost_velocity:
+            self._has_velocity = has_velocity
+        if len(message.position) != width or (self._has_velocity and not has_velocity):
             self.counts["malformed"] += 1
             return None
         stamp = message.header.stamp
@@ -85,12 +71,14 @@ class JointReader:
             return None
         self.problem = ""
         self.counts["used"] += 1
-        return JointSample(
-            stamp_ns=stamp_ns,
+        return ArmReading(
             dt_s=dt_s,
             q_rad=np.array(message.position)[order],
             dq_rad_s=np.array(message.velocity)[order] if self._has_velocity else None,
-            effort_Nm=np.array(message.effort)[order],
+            tau_Nm=np.array(message.effort)[order],
+            external_Nm=None,
+            missed=0,  # a topic has no cycles that could be counted
+            accepts_commands=False,
         )
 
     def _find_order(self, names: tuple[str, ...]) -> list[int]:
@@ -106,12 +94,14 @@ class JointReader:
         if len(matches) == 1:
             order = [names.index(name) for name in matches[0].names]
         elif not self.counts["used"]:
-            listed = ", ".join(names[:12]) or "no joint"
             expected = f"all of {', '.join(self._joints)}"
             if matches:
                 patterns = " or ".join(match.pattern for match in matches)
                 expected = f"joint_pattern to be one of {patterns}"
-            self.problem = f"a joint state names {listed}; expected {expected}"
+            self.problem = (
+                f"a joint state names {', '.join(names[:12]) or 'no joint'}; expected "
+                f"{expected}"
+            )
         self._orders[names] = order
         return order
 
@@ -120,10 +110,10 @@ class JointReader:
 
         Of a clock that was set back it is negative: the session reports it.
         """
-        if self._latest_ns is None:
-            self._latest_ns = stamp_ns
+        if not self.counts["used"]:
+            self.stamp_ns = stamp_ns
             return 0.0
-        dt_s = (stamp_ns - self._latest_ns) / NS_PER_S
+        dt_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         # A stamp that is older than its predecessor by more than this is of a clock
         # that was set back, as when a simulation starts anew; up to this it is of a
         # late message.
@@ -133,6 +123,6 @@ class JointReader:
             if self.counts["used"] == 1:
                 self.problem = "stamps of joint states do not advance"
             return None
-        self._latest_ns = stamp_ns
+        self.stamp_ns = stamp_ns
         self.longest_gap_s = max(self.longest_gap_s, dt_s)
         return dt_s

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from needleforce.insertion_events import session_events
-from needleforce.ros2.errors import MissingDescriptionError, require_ros
+from needleforce.ros2.errors import Ros2Error, require_ros
 from needleforce.ros2.joint_samples import NS_PER_S, JointReader
 from needleforce.ros2.parameters import declare_parameters
 from needleforce.ros2.reports import (
@@ -85,10 +85,8 @@ class NeedleNode(LifecycleNode):
         declare_parameters(self)
         self._make_robot = make_robot
         self._prepare = prepare
-        self.failure: NeedleforceError | None = None
         self.is_stopped = False
         self._is_active = False
-        self._reader = JointReader(())
 
     def value(self, name: str) -> Any:
         """Return the value of a parameter."""
@@ -99,13 +97,13 @@ class NeedleNode(LifecycleNode):
     def on_configure(self, state: Any) -> Any:
         """Find out what the arm is; make topics, services and the session."""
         self._own = self._list_entities()
+        self.failure: NeedleforceError | None = None
         try:
             self._open(self._make_robot(self._wait_for_description))
         except NeedleforceError as error:
             self.failure = error
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self.failure = None
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: Any) -> Any:
@@ -141,7 +139,7 @@ class NeedleNode(LifecycleNode):
         Who starts by itself waits for ever; a manager gets an answer.
 
         Raises:
-            MissingDescriptionError: A manager waits, and none came within 10 s.
+            Ros2Error: A manager waits, and none came within 10 s.
         """
         topic = self.resolve_topic_name("robot_description")
         wait_s = 5.0 if self.value("autostart") else 10.0
@@ -157,7 +155,11 @@ class NeedleNode(LifecycleNode):
                 f"waiting for {topic}, as robot_state_publisher publishes it; "
                 "--urdf FILE and --robot NAME describe the arm without it"
             )
-        raise MissingDescriptionError(f"{topic}: no description came in {wait_s:g} s")
+        raise Ros2Error(
+            f"{topic}: no description came in {wait_s:g} s",
+            "Start robot_state_publisher, remap robot_description to its topic, or "
+            "describe the arm with --urdf FILE or --robot NAME.",
+        )
 
     # What it has while it is configured
 
@@ -173,22 +175,17 @@ class NeedleNode(LifecycleNode):
         # to publish it
         self._session = InsertionSession(robot, config)
         self._prepare(self._session)
-        torque_topic = self.value("external_torque_topic")
-        self._update = self._session.update
-        if torque_topic:
-            self._update = self._session.update_external_torque
         self._reader = JointReader(robot.joint_names, self.value("joint_pattern"))
         self._hardware = robot.model.name
         self._frame = self.value("frame_id") or robot.tool_frame
         self._tare = TareRun()
-        self._tare_end: Any = None
         self._estimate: SessionEstimate | None = None
         self._stamp_ns = 0
         self._delay_max_ns = 0
         self._heard_s = time.monotonic()
         self._is_silent = False
         self._advertise()
-        self._subscribe(torque_topic)
+        self._subscribe()
 
     def _advertise(self) -> None:
         """Make the outputs, the services and the timers."""
@@ -210,28 +207,28 @@ class NeedleNode(LifecycleNode):
         self.create_timer(REPORT_PERIOD_S, self._publish_reports)
         self.create_timer(SILENCE_STEP_S, self._watch_silence)
 
-    def _subscribe(self, torque_topic: str) -> None:
+    def _subscribe(self) -> None:
         """Subscribe to joint states, with external torques if they are used."""
-        reliability = ReliabilityPolicy.BEST_EFFORT
-        if self.value("reliable"):
-            reliability = ReliabilityPolicy.RELIABLE
+        policy = ReliabilityPolicy
+        reliability = policy.RELIABLE if self.value("reliable") else policy.BEST_EFFORT
         quality = QoSProfile(depth=self.value("queue_depth"), reliability=reliability)
-        if torque_topic:
-            require_ros("message_filters")
-            filters = import_module("message_filters")
-            states = filters.Subscriber(
-                self, JointState, "joint_states", qos_profile=quality
-            )
-            torques = filters.Subscriber(
-                self, JointState, torque_topic, qos_profile=quality
-            )
-            pending = 200  # states that wait for a torque of their stamp
-            pairs = filters.TimeSynchronizer([states, torques], pending)
-            pairs.registerCallback(self._take_with_torque)
-        else:
+        torque_topic = self.value("external_torque_topic")
+        if not torque_topic:
+            self._update = self._session.update
             self._subscription = self.create_subscription(
                 JointState, "joint_states", self._take_joint_states, quality
             )
+            return
+        self._update = self._session.update_external_torque
+        require_ros("message_filters")
+        filters = import_module("message_filters")
+        topics = [
+            filters.Subscriber(self, JointState, topic, qos_profile=quality)
+            for topic in ("joint_states", torque_topic)
+        ]
+        # So many states wait for a torque of their stamp.
+        pairs = filters.TimeSynchronizer(topics, 200)
+        pairs.registerCallback(self._take_with_torque)
 
     # Samples
 
@@ -258,19 +255,19 @@ class NeedleNode(LifecycleNode):
     def _take_joint_state(self, message: Any) -> None:
         """Update the session with a joint state, and publish its estimate."""
         sample = self._reader.read(message)
-        if sample is None:
+        if sample is None or sample.tau_Nm is None:
             return
         self._is_silent = False
         self._heard_s = time.monotonic()
         if not self._is_active:
             return
         estimate = self._update(
-            sample.q_rad, sample.dq_rad_s, sample.effort_Nm, sample.dt_s
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
         self._estimate = estimate
-        self._stamp_ns = sample.stamp_ns
+        self._stamp_ns = self._reader.stamp_ns
         self._publish_forces(estimate)
-        delay_ns = self._now_ns() - sample.stamp_ns
+        delay_ns = self._now_ns() - self._stamp_ns
         self._delay_max_ns = max(self._delay_max_ns, delay_ns)
         self._publish_events(estimate)
         if self._tare.after(self._session, estimate):
@@ -303,9 +300,13 @@ class NeedleNode(LifecycleNode):
     def _publish_events(self, estimate: SessionEstimate) -> None:
         """Publish what happened with this sample."""
         for event in session_events(estimate):
-            values = {name: format_value(v) for name, v in event.values.items()}
-            level = WARNING if event in estimate.plan_events else OK
-            self._publish_event(NamedReport(event.kind, level, event.text, values))
+            report = NamedReport(
+                event.kind,
+                WARNING if event in estimate.plan_events else OK,
+                event.text,
+                {name: format_value(value) for name, value in event.values.items()},
+            )
+            self._publish_event(report)
 
     def _publish_event(self, report: NamedReport) -> None:
         """Publish an event, and its sentence as a log message."""
@@ -355,8 +356,7 @@ class NeedleNode(LifecycleNode):
     def _publish_reports(self) -> None:
         """Publish diagnostics and layers; the timer calls it."""
         name = self.get_fully_qualified_name().lstrip("/")
-        level, message = self._judge()
-        health = NamedReport(name, level, message, self._list_values())
+        health = NamedReport(name, *self._judge(), self._list_values())
         reports = [health, *plan_reports(name, self._estimate)]
         self._publish_named(self._diagnostics, reports, self._now_ns())
         layers = layer_reports(self._session.layers)
@@ -420,10 +420,10 @@ class NeedleNode(LifecycleNode):
 
     def _end_tare(self) -> None:
         """Publish how the tare has ended, and let the service that waits answer."""
-        refusal = self._tare_refusal
-        kind = "tare_refused" if refusal else "tared"
-        level = WARNING if refusal else OK
-        self._publish_event(NamedReport(kind, level, refusal or "tared", {}))
+        report = NamedReport("tared", OK, "tared", {})
+        if refusal := self._tare_refusal:
+            report = NamedReport("tare_refused", WARNING, refusal, {})
+        self._publish_event(report)
         self._tare_end.set_result(refusal)
 
     @property

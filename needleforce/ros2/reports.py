@@ -60,10 +60,19 @@ def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
     )
     reports: list[NamedReport] = []
     for layer in layers:
-        values = {name: getattr(layer, name) for name in layer_values}
-        known = {name: format_value(v) for name, v in values.items() if v is not None}
-        text = f"{1e3 * layer.thickness_m:.1f} mm thick"
-        reports.append(NamedReport(f"layer {layer.layer}", OK, text, known))
+        known = {
+            name: format_value(getattr(layer, name))
+            for name in layer_values
+            if getattr(layer, name) is not None
+        }
+        reports.append(
+            NamedReport(
+                f"layer {layer.layer}",
+                OK,
+                f"{1e3 * layer.thickness_m:.1f} mm thick",
+                known,
+            )
+        )
     return reports
 
 
@@ -77,12 +86,18 @@ def plan_reports(name: str, estimate: SessionEstimate | None) -> list[NamedRepor
     if estimate is None or estimate.deviation is None:
         return []
     values = state_values(estimate.deviation, estimate.clearances)
-    for name_of_structure, clearance in values.pop("clearances").items():
-        for key, value in clearance.items():
-            values[f"clearance/{name_of_structure}/{key}"] = value
+    values |= {
+        f"clearance/{structure}/{key}": value
+        for structure, clearance in values.pop("clearances").items()
+        for key, value in clearance.items()
+    }
     texts = {key: format_value(value) for key, value in values.items()}
-    near = [one for one in estimate.clearances if one.is_too_near]
-    message = describe_deviation(estimate.deviation)
-    sentences = [message, *map(describe_too_near, near)]
-    level = OK if values["verdict"] == ON_PLAN else WARNING
-    return [NamedReport(f"{name}: plan", level, "; ".join(sentences), texts)]
+    near = [describe_too_near(one) for one in estimate.clearances if one.is_too_near]
+    return [
+        NamedReport(
+            f"{name}: plan",
+            OK if values["verdict"] == ON_PLAN else WARNING,
+            "; ".join([describe_deviation(estimate.deviation), *near]),
+            texts,
+        )
+    ]

@@ -18,9 +18,8 @@ def force_table(moments: Sequence[Moment]) -> Array:
 
     Only of moments that are tared and valid, and of at most a thousand: shape (n, 8).
     """
-    max_rows = 1000
     rows: list[list[float]] = []
-    for _, estimate in moments[:: len(moments) // max_rows + 1]:
+    for _, estimate in moments[:: len(moments) // 1000 + 1]:
         if estimate.status.value != "ok":
             continue
         found = estimate.identification

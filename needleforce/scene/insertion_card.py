@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.needle_on_plan import CANNOT_TELL, ON_PLAN
+from needleforce.needle_on_plan import CANNOT_TELL, ON_PLAN, PlannedPath
 from needleforce.plots.needle_view import NeedleView, patient_side
-from needleforce.scene.nodes import NeedlePose, PlannedLine, PlanScene
+from needleforce.scene.nodes import NeedlePose, PlanScene
 from needleforce.scene.words import (
     MEANINGS,
     describe_tissue,
@@ -76,8 +76,9 @@ def _verdict_html(estimate: "SessionEstimate | None") -> str:
     if estimate is None:
         return _box_html(GREY, "PLANNED", "waiting for the first sample")
     if estimate.deviation is None:
-        text = "no state of the needle on the plan yet"
-        return _box_html(AMBER, CANNOT_TELL.upper(), text)
+        return _box_html(
+            AMBER, CANNOT_TELL.upper(), "no state of the needle on the plan yet"
+        )
     banner = find_banner(estimate)
     if not banner:
         return _box_html(GREEN, ON_PLAN.upper(), "")
@@ -119,7 +120,7 @@ def _bullseye_html(
     estimate: "SessionEstimate | None",
     needle: NeedlePose | None,
     plan: PlanScene,
-    path: PlannedLine,
+    path: PlannedPath,
 ) -> str:
     """Return the needle beside the planned path, seen along it, in millimetres."""
     rings = "".join(

@@ -19,9 +19,6 @@ from needleforce.scene.nodes import EMPTY, PlanScene
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-MAX_WAITING = 1000
-"""So many moments wait for a page that hangs; further ones are lost, not time."""
-
 
 class LiveView(AbstractContextManager[Any]):
     """A page in another process; made by `open_viewer`.
@@ -70,7 +67,8 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
         SceneError: The page could not be opened.
     """
     context = multiprocessing.get_context("spawn")
-    moments = context.Queue(MAX_WAITING)
+    # So many moments wait for a page that hangs; further ones are lost, not time.
+    moments = context.Queue(1000)
     moments.cancel_join_thread()  # what waits for a page that hangs holds no exit up
     pipe, other_end = context.Pipe()
     process = context.Process(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
+from needleforce.insertion_events import session_events
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
@@ -36,13 +37,6 @@ class Moment(NamedTuple):
     estimate: "SessionEstimate"
 
 
-def has_event(estimate: "SessionEstimate") -> bool:
-    """Return whether something was detected or retracted in a tick."""
-    found = estimate.identification
-    events = (found.rupture, found.retracted, found.hard_contact)
-    return any(event is not None for event in events) or bool(estimate.plan_events)
-
-
 def is_kept(estimate: "SessionEstimate", latest_s: float) -> bool:
     """Return whether a tick is shown.
 
@@ -51,4 +45,4 @@ def is_kept(estimate: "SessionEstimate", latest_s: float) -> bool:
         latest_s: Time of the latest one that is.
     """
     is_soon = latest_s <= estimate.time_s < latest_s + KEPT_PERIOD_s
-    return not is_soon or has_event(estimate)
+    return not is_soon or any(session_events(estimate))

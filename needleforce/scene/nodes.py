@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene.moment import SceneError
 from needleforce.scene.words import shown_name
 from urdf import Robot
@@ -54,22 +56,6 @@ class NeedlePose(NamedTuple):
     axis: Array
 
 
-class PlannedLine(NamedTuple):
-    """A planned path in axes of the robot's base.
-
-    Attributes:
-        entry_m: Where it begins, shape (3,).
-        target_m: Where it ends, shape (3,).
-        axis: Its direction, shape (3,).
-        length_m: From entry to target.
-    """
-
-    entry_m: Array
-    target_m: Array
-    axis: Array
-    length_m: float
-
-
 class PlanScene(NamedTuple):
     """Anatomy and plan as the viewer shows them.
 
@@ -100,21 +86,21 @@ class PlanScene(NamedTuple):
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
 
     @property
-    def path(self) -> PlannedLine | None:
+    def path(self) -> PlannedPath | None:
         """The planned path in the robot's base; None without entry and target.
+
+        How well it is known is the session's to say.
 
         Raises:
             SceneError: The path has no length.
         """
         if self.entry_m is None or self.target_m is None:
             return None
-        entry_m = self.to_robot(self.entry_m)
-        target_m = self.to_robot(self.target_m)
-        length_m = float(np.linalg.norm(target_m - entry_m))
-        if not length_m > 0.0:
-            raise SceneError(f"entry and target are {entry_m}; expected two points")
-        axis = (target_m - entry_m) / length_m
-        return PlannedLine(entry_m, target_m, axis, length_m)
+        ends_m = self.to_robot([self.entry_m, self.target_m])
+        path = PlannedPath.of_std(*ends_m, std_m=0.0)
+        if not path.length_m > 0.0:
+            raise SceneError(f"entry and target are {ends_m}; expected two points")
+        return path
 
 
 EMPTY = PlanScene()
@@ -181,8 +167,8 @@ class ArmNodes:
             self._shapes.update_cfg(self._shown_rad)
         else:
             joints_m = [joint.translation for joint in self._data.oMi]
-            bones_m = np.array([*joints_m, needle.tip_m])
-            add_line(self._server, "/bones", bones_m, (90, 100, 120), 6.0)
+            points_m = np.array([*joints_m, needle.tip_m])
+            add_line(self._server, "/bones", points_m, (90, 100, 120), 6.0)
         self.frame.visible = True
         self.frame.position = needle.tip_m
         self.frame.wxyz = quaternion_along(needle.axis)
@@ -197,10 +183,10 @@ def quaternion_along(axis: Array) -> Array:
     right = np.array([0.77, 0.63, 0.0])
     # An axis along that direction has its labels along z instead.
     side = np.array([0.0, 0.0, 1.0]) if abs(axis @ right) >= 0.9 else right
-    side = side - (side @ axis) * axis
-    side = side / np.linalg.norm(side)
-    rotation = np.column_stack([side, np.cross(axis, side), axis])
-    return np.roll(pin.Quaternion(rotation).coeffs(), 1)
+    alignment = Rotation.align_vectors(
+        [axis, side], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], weights=[np.inf, 1.0]
+    )
+    return alignment[0].as_quat(scalar_first=True)
 
 
 def add_line(server: Any, name: str, points_m: Array, color: Color, px: float) -> Any:
@@ -235,9 +221,8 @@ class Ring:
     ) -> None:
         radius_m = 6e-3
         angle_rad = np.linspace(0.0, 2.0 * np.pi, 33)
-        circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros(33)]
-        points_m = radius_m * np.stack(circle, axis=1)
-        self.line = add_line(server, name, points_m, color, 4.0)
+        circle = np.stack([np.cos(angle_rad), np.sin(angle_rad), 0.0 * angle_rad], 1)
+        self.line = add_line(server, name, radius_m * circle, color, 4.0)
         self.label = server.scene.add_label(
             f"{name}/label",
             text,
@@ -288,10 +273,12 @@ class ForceArrow:
             m_per_N = -25e-3  # tissue pushes the tip back
             tip_m = m_per_N * force_N
             std_m = m_per_N * 2.0 * (identification.tip_force_std_N or 0.0)
-            arrow_m = [[6e-3, 0.0, 0.0], [6e-3, 0.0, tip_m]]
-            bar_m = [[9e-3, 0.0, tip_m - std_m], [9e-3, 0.0, tip_m + std_m]]
-            self.arrow.points = segments_of(np.array(arrow_m))
-            self.bar.points = segments_of(np.array(bar_m))
+            self.arrow.points = segments_of(
+                np.array([[6e-3, 0.0, 0.0], [6e-3, 0.0, tip_m]])
+            )
+            self.bar.points = segments_of(
+                np.array([[9e-3, 0.0, tip_m - std_m], [9e-3, 0.0, tip_m + std_m]])
+            )
 
 
 def add_plan(server: Any, plan: PlanScene) -> None:
@@ -319,11 +306,10 @@ def add_plan(server: Any, plan: PlanScene) -> None:
         "/plan/target", 3e-3, color=TARGET_COLOR, position=path.target_m
     )
     for number, (above, layer) in enumerate(pairwise(plan.layers), 1):
-        text = shown_name(layer.name)
-        color = PATH_COLOR
-        if layer.is_obstacle:
-            text += " (obstacle)"  # not by its colour alone
-            color = OBSTACLE_COLOR
+        color = OBSTACLE_COLOR if layer.is_obstacle else PATH_COLOR
+        # Not by its colour alone.
+        remark = " (obstacle)" if layer.is_obstacle else ""
+        text = f"{shown_name(layer.name)}{remark}"
         ring = Ring(server, f"/plan/boundary {number}", color, text, -1.0)
         ring.move(path.entry_m + above.exit_m * path.axis, path.axis)
 
@@ -362,7 +348,9 @@ def legend_of(plan: PlanScene, *, has_needle: bool = True) -> Iterator[tuple[str
             (EXPECTED_COLOR, "next boundary, as the ruptures moved it"),
             (NEAREST_COLOR, "line to the nearest structure at risk"),
         ]
-    for one in sorted(plan.surfaces, key=lambda surface: surface.name):
-        colors.append((color_of(one.colour), shown_name(one.name)))
+    colors += sorted(
+        ((color_of(one.colour), shown_name(one.name)) for one in plan.surfaces),
+        key=lambda entry: entry[1],
+    )
     for color, text in colors:
         yield "#{:02x}{:02x}{:02x}".format(*color), text

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.plots.needle_view import NeedleView, patient_side
-from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlannedLine, PlanScene
+from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlanScene
 
 PIXELS = 280
 PIXEL_m = 0.4e-3
 """Size of a picture, and of its pixels."""
-
-TIP_ROW = 160
-"""Row of the tip in the planes that hold the needle."""
 
 NEEDLE_COLOR = (255, 212, 0)
 """Seen on grey by all."""
@@ -35,7 +33,7 @@ along the path, at the target."""
 
 
 def draw_slices(
-    plan: PlanScene, path: PlannedLine, needle: NeedlePose | None
+    plan: PlanScene, path: PlannedPath, needle: NeedlePose | None
 ) -> list[NDArray[np.uint8]]:
     """Return the three pictures, each of shape (n, n, 3).
 
@@ -46,11 +44,12 @@ def draw_slices(
     """
     place = NeedlePose(path.target_m, path.axis) if needle is None else needle
     view = NeedleView.along(plan.rotation.T @ place.axis)
-    middle = PIXELS // 2
+    # Rows and columns of a plane, and the row of the tip: below the middle where the
+    # plane holds the needle.
     planes = (
-        (view.axis, view.side, TIP_ROW),
-        (view.axis, view.up, TIP_ROW),
-        (-view.up, view.side, middle),
+        (view.axis, view.side, 160),
+        (view.axis, view.up, 160),
+        (-view.up, view.side, PIXELS // 2),
     )
     return [
         _draw_plane(plan, path, place.tip_m, np.array([down, right]), tip_row, needle)
@@ -60,7 +59,7 @@ def draw_slices(
 
 def _draw_plane(
     plan: PlanScene,
-    path: PlannedLine,
+    path: PlannedPath,
     tip_m: Array,
     axes: Array,
     tip_row: int,

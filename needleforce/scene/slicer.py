@@ -75,14 +75,16 @@ class SlicerOutput(AbstractContextManager[Any]):
         zero = find_depth_zero(estimate)
         rupture = found.rupture
         if rupture is not None:
-            values = {
-                "layer": rupture.layer,
-                "depth_mm": zero.shown_mm(rupture.depth_m),
-                "depth_zero": zero.name,
-                "probability": rupture.probability,
-                "time_s": rupture.time_s,
-            }
-            self._send_text("Rupture", values)
+            self._send_text(
+                "Rupture",
+                {
+                    "layer": rupture.layer,
+                    "depth_mm": zero.shown_mm(rupture.depth_m),
+                    "depth_zero": zero.name,
+                    "probability": rupture.probability,
+                    "time_s": rupture.time_s,
+                },
+            )
         # A time before that of the last tick is that of a session which has begun anew.
         if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
@@ -92,14 +94,16 @@ class SlicerOutput(AbstractContextManager[Any]):
         matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(pose_m, dtype=float)
         matrix[:3, 3] *= 1e3  # mm
         self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
-        forces = {
-            "force_N": estimate.wrench.axial,
-            "force_std_N": estimate.wrench.axial_std,
-            "tip_force_N": found.tip_force_N,
-            "depth_mm": zero.shown_mm(estimate.depth_m),
-            "depth_zero": zero.name,
-        }
-        self._send_text("Force", forces)
+        self._send_text(
+            "Force",
+            {
+                "force_N": estimate.wrench.axial,
+                "force_std_N": estimate.wrench.axial_std,
+                "tip_force_N": found.tip_force_N,
+                "depth_mm": zero.shown_mm(estimate.depth_m),
+                "depth_zero": zero.name,
+            },
+        )
         if estimate.deviation is not None:
             on_plan = state_values(estimate.deviation, estimate.clearances)
             self._send_text("Plan", on_plan)

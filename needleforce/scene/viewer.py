@@ -18,6 +18,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from foundation.extras import install_command
+from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import CANNOT_TELL
 from needleforce.scene import nodes
 from needleforce.scene.export_page import write_scene_page
@@ -28,7 +29,6 @@ from needleforce.scene.scan_slices import PIXELS, TITLES, PIXEL_m, draw_slices
 from needleforce.scene.words import (
     NOTE,
     describe_depth,
-    describe_rupture,
     describe_state,
     find_banner,
     shown_name,
@@ -75,9 +75,9 @@ def open_server(port: int, label: str) -> Any:
         raise SceneError(
             "viser is not installed", f"Install it: {install_command('scene')}"
         ) from error
-    last_port = 65535  # behind it viser would look for a free one for ever
-    if not 0 <= port <= last_port:
-        raise SceneError(f"port {port}; expected 0 to {last_port}", FREE_PORT)
+    # Behind the last one viser would look for a free one for ever.
+    if not 0 <= port <= 65535:
+        raise SceneError(f"port {port}; expected 0 to 65535", FREE_PORT)
     with redirect_stdout(StringIO()):  # viser's banner is no result
         return viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
 
@@ -163,8 +163,7 @@ class Viewer:
         gui.configure_theme(show_logo=False, show_share_button=False)
         plan = self._plan
         self._card = gui.add_html(card_html(None, None, plan))
-        warnings = [f"Warning: {warning}" for warning in plan.warnings]
-        gui.add_html(text_html(*warnings, NOTE))
+        gui.add_html(text_html(*(f"Warning: {one}" for one in plan.warnings), NOTE))
         self._headline = gui.add_html(text_html("waiting for the first sample"))
         gui.main_panel.dock_left()
         panel = gui.add_panel()
@@ -197,34 +196,34 @@ class Viewer:
 
     def append(self, moments: Iterable[Moment]) -> None:
         """Add further moments, in the order of time."""
-        max_moments = 30_000  # ten minutes; beyond them every second one goes
         with self._lock:
             for moment in moments:
                 self._mark(moment)
                 self.moments.append(moment)
-            if len(self.moments) > max_moments:
+            # Ten minutes; beyond them every second one goes.
+            if len(self.moments) > 30_000:
                 del self.moments[1::2]
 
     def _mark(self, moment: Moment) -> None:
         """Mark the rupture of a moment, or retract the latest one."""
         estimate = moment.estimate
-        retracted = estimate.identification.retracted
-        rupture = estimate.identification.rupture
-        if self.marks and retracted is not None:
+        found = estimate.identification
+        if self.marks and found.retracted is not None:
             latest = self.marks[-1]
-            if latest.layer == retracted.layer:
+            if latest.layer == found.retracted.layer:
                 latest.until_s = estimate.time_s
-        if rupture is None:
+        if found.rupture is None:
             return
         needle = self._arm.find_needle(moment.q_rad)
-        label = f"rupture {rupture.layer}"
+        label = f"rupture {found.rupture.layer}"
         name = f"/ruptures/{len(self.marks)}"
         ring = nodes.Ring(self._server, name, nodes.RUPTURE_COLOR, label)
-        depth_m = rupture.depth_m - estimate.depth_m
+        depth_m = found.rupture.depth_m - estimate.depth_m
         ring.move(needle.tip_m + depth_m * needle.axis, needle.axis)
         ring.show(False)  # until its time is shown
-        text = describe_rupture(estimate)
-        self.marks.append(Mark(estimate.time_s, rupture.layer, text, ring))
+        texts = {event.kind: event.text for event in session_events(estimate)}
+        text = shown_name(texts["rupture"])
+        self.marks.append(Mark(estimate.time_s, found.rupture.layer, text, ring))
         self._jumps.visible = True
         with self._jumps:
             button = self._server.gui.add_button(f"{estimate.time_s:.1f} s: {label}")
@@ -292,15 +291,14 @@ class Viewer:
                 mark.ring.show(mark in known)
             self._draw_expected(moment)
             self._draw_nearest(moment, needle)
-            is_valid = estimate.status.value == "ok"
-            self._force.draw(estimate.identification, is_valid)
+            self._force.draw(estimate.identification, estimate.status.value == "ok")
             deviation = estimate.deviation
             is_far = deviation is not None and deviation.depth_m < -nodes.PATH_LEAD_m
             self._draw_slices(None if is_far else needle)
             self._card.content = card_html(estimate, needle, self._plan)
-            tip_N = estimate.identification.tip_force_N
             self._headline.content = text_html(
-                f"{time_s:.1f} s, {describe_depth(estimate)}; tip force {tip_N:.2f} N"
+                f"{time_s:.1f} s, {describe_depth(estimate)}; tip force "
+                f"{estimate.identification.tip_force_N:.2f} N"
             )
             ruptures = [f"• {mark.text}" for mark in known]
             self._text.content = text_html(*ruptures, *describe_state(estimate))
@@ -375,10 +373,11 @@ class Viewer:
         for time_s, step_s in zip(shown_s, np.diff(shown_s, append=end_s), strict=True):
             self.show(float(time_s))
             serializer.insert_sleep(float(step_s))
-        ruptures: list[str] = []
-        for mark in self.marks:
-            end = "; retracted" if np.isfinite(mark.until_s) else ""
-            ruptures.append(f"{mark.time_s - start_s:.1f} s: {mark.text}{end}")
+        ruptures = [
+            f"{mark.time_s - start_s:.1f} s: {mark.text}"
+            f"{'; retracted' if np.isfinite(mark.until_s) else ''}"
+            for mark in self.marks
+        ]
         return write_scene_page(Path(path), serializer.as_html(), self._plan, ruptures)
 
     def stop(self) -> None:

@@ -73,13 +73,12 @@ def describe_state(estimate: "SessionEstimate") -> Iterator[str]:
     """Yield where the needle is, the forces, and what they say of the plan."""
     found = estimate.identification
     yield f"{estimate.time_s:.1f} s at {describe_depth(estimate)}, layer {found.layer}"
-    status = estimate.status
-    doubt = "" if status.value == "ok" else f" ({status.value})"
+    status = estimate.status.value
+    doubt = "" if status == "ok" else f" ({status})"
     wrench = estimate.wrench
     yield f"force {wrench.axial:.2f} ± {wrench.axial_std:.2f} N{doubt}"
-    tip_std_N = found.tip_force_std_N or 0.0
     yield (
-        f"tip force {found.tip_force_N:.2f} ± {tip_std_N:.2f} N, "
+        f"tip force {found.tip_force_N:.2f} ± {found.tip_force_std_N or 0.0:.2f} N, "
         f"shaft friction {found.shaft_friction_N:.2f} N"
     )
     if estimate.deviation is not None:
@@ -99,19 +98,3 @@ def describe_state(estimate: "SessionEstimate") -> Iterator[str]:
         f"all lies {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm "
         "deeper than planned"
     )
-
-
-def describe_rupture(estimate: "SessionEstimate") -> str:
-    """Return the rupture of a tick, and the planned layer that it led into."""
-    rupture = estimate.identification.rupture
-    if rupture is None:
-        return ""
-    zero = find_depth_zero(estimate)
-    depth_mm = zero.shown_mm(rupture.depth_m)
-    text = f"rupture {rupture.layer} at {depth_mm:.1f} mm {zero.name}"
-    plan = estimate.plan
-    if plan is None or not plan.matched_name:
-        return text
-    into = "into " if plan.matched >= 0 else ""
-    percent = 100.0 * plan.matched_probability
-    return f"{text}: {into}{shown_name(plan.matched_name)} ({percent:.0f} %)"

@@ -2,8 +2,8 @@
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,12 @@ from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
 from needleforce import devices
 from needleforce.cli.options import ArmOptions, MotorConstants, RobotOptions
-from needleforce.cli.robot import labels_of_arm, robot_from_options, robot_from_text
+from needleforce.cli.patient.case_files import read_plan_fields
+from needleforce.cli.robot import (
+    file_of_description,
+    labels_of_arm,
+    robot_from_options,
+)
 from needleforce.cli.terminal import (
     OTHER_ROBOT,
     CommandError,
@@ -29,7 +34,8 @@ from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S
 from needleforce.recorder import Recorder
 from needleforce.recordings.output import check_writable
-from urdf import Robot
+from needleforce.ros2 import require_ros
+from needleforce.simulation.patient import insert_into_patient
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 """The robot of a kind of arm, unless options describe another."""
@@ -53,11 +59,11 @@ def open_arm(
     constants_Nm_A: MotorConstants | None = None,
     *,
     takes_commands: bool = False,
-) -> Iterator[Any]:
+) -> Iterator[tuple[Any, RobotOptions]]:
     """Open the arm that a user names; it is closed in the end.
 
     Yields the connection, one of `needleforce.devices` or a simulated arm, with its
-    model as `robot`.
+    model as `robot`; and the options that describe that robot.
 
     Args:
         name: The arm as the command line names it, such as ``fri:30200``.
@@ -72,53 +78,58 @@ def open_arm(
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if kind == "sim":
-        yield _simulated_arm(name, place, options, takes_commands=takes_commands)
+        yield _simulated_arm(name, options, takes_commands=takes_commands), options
         return
-    if kind != "ros2":
-        try:
-            devices.parse_arm_name(name)
-        except devices.DeviceSettingError as error:
-            # Arms without a connection of their own, to be moved or listened to.
-            others = "sim" if takes_commands else "sim:SCENARIO"
-            raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
-    robot = _robot_of(name, options)
-    settings: dict[str, Any] = {"takes_commands": takes_commands, "robot": robot}
-    if kind == "ros2":
-        if not place:
+    with ExitStack() as stack:
+        described = options
+        if kind != "ros2":
+            described = _describe_arm(name, options, stack)
+        elif not place:
             raise CommandError(f"{name}: expected ros2:TOPIC, as ros2:/joint_states")
-        from needleforce.ros2.arm import Ros2Arm
+        if not described.is_named:
+            raise CommandError(
+                f"{name} does not say what arm it is, expected --urdf FILE",
+                OTHER_ROBOT,
+            )
+        robot = robot_from_options(described, None)
+        if kind == "ros2":
+            require_ros()
+            from needleforce.ros2.arm import Ros2Arm
 
-        opened: Any = Ros2Arm(place, robot.joint_names, **settings)
-    else:
-        opened = devices.connect_arm(
-            name, torque_constant_Nm_A=constants_Nm_A, **settings
-        )
-    with opened as arm:
-        if kind != "ros2" and arm.joints != robot.nv:
+            opened: Any = Ros2Arm(
+                place, robot.joint_names, takes_commands=takes_commands, robot=robot
+            )
+        else:
+            opened = devices.connect_arm(
+                name,
+                takes_commands=takes_commands,
+                robot=robot,
+                torque_constant_Nm_A=constants_Nm_A,
+            )
+        arm = stack.enter_context(opened)
+        if arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
                 f"{robot.nv}",
                 OTHER_ROBOT,
             )
-        yield arm
+        yield arm, described
 
 
 def _simulated_arm(
-    name: str, scenario: str, options: RobotOptions, *, takes_commands: bool
+    name: str, options: RobotOptions, *, takes_commands: bool
 ) -> SimulatedArm | ReplayArm:
     """Return an LWR 4+ that replays a simulated insertion, or moves in free air."""
+    scenario = name.removeprefix("sim").removeprefix(":")
     if replace(options, robot=None) != RobotOptions() or not options.is_lwr:
         raise CommandError(
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
+    if takes_commands and scenario:
+        raise CommandError(f"{name} moves in free air, expected sim alone")
     if takes_commands:
-        if scenario:
-            raise CommandError(f"{name} moves in free air, expected sim alone")
         return SimulatedArm(plant="clean")
-    from needleforce.cli.patient.case_files import read_plan_fields
-    from needleforce.simulation.patient import insert_into_patient
-
     with progress_bar("simulating"):
         if scenario.endswith(".json"):
             run = insert_into_patient(read_plan_fields(Path(scenario)))
@@ -129,44 +140,36 @@ def _simulated_arm(
     return ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm, run.robot)
 
 
-def _robot_of(name: str, options: RobotOptions) -> Robot:
-    """Return the robot that options describe, else the one that an arm is taken for."""
-    if options.is_named:
-        return robot_from_options(options, None)
-    if name.startswith("fr3:"):
-        with devices.Fr3Arm(devices.parse_arm_name(name).host) as arm:
-            text = arm.client.model_urdf
-        # Names of its flange in its own description.
-        flanges = ("fr3_link8", "link8")
-        known = (flange for flange in flanges if f'name="{flange}"' in text)
-        flange = options.tool_frame or next(known, None)
-        say(
-            f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
-            "name others"
-        )
-        return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
-    described = described_robot(name, options)
-    if not described.is_named:
-        raise CommandError(
-            f"{name} does not say what arm it is, expected --urdf FILE",
-            OTHER_ROBOT,
-        )
-    say(
-        f"{name} is taken for the arm {described.robot!r}; --robot or --urdf names "
-        "another"
-    )
-    return robot_from_options(described, None)
-
-
-def described_robot(name: str, options: RobotOptions) -> RobotOptions:
-    """Return options that name the robot that an arm is taken for, if they name none.
+def _describe_arm(name: str, options: RobotOptions, stack: ExitStack) -> RobotOptions:
+    """Return options with the robot that an arm is taken for, if they name none.
 
     Args:
         name: The arm as the command line names it.
         options: Options that describe the robot.
+        stack: Keeps the file of the description that an arm sends.
     """
-    kind = name.partition(":")[0].partition("@")[0]
-    return options if options.is_named else replace(options, robot=ROBOTS.get(kind))
+    try:
+        address = devices.parse_arm_name(name)
+    except devices.DeviceSettingError as error:
+        # Arms without a connection of their own.
+        raise CommandError(f"{error}, ros2:TOPIC or sim[:SCENARIO]") from error
+    known = ROBOTS.get(address.kind)
+    if options.is_named or (known is None and address.kind != "fr3"):
+        return options
+    if known is not None:
+        say(f"{name} is taken for the arm {known!r}; --robot or --urdf names another")
+        return replace(options, robot=known)
+    with devices.Fr3Arm(address.host) as arm:
+        text = arm.client.model_urdf
+    # Names of its flange in its own description.
+    names = (one for one in ("fr3_link8", "link8") if f'name="{one}"' in text)
+    flange = options.tool_frame or next(names, None)
+    say(
+        f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
+        "name others"
+    )
+    path = stack.enter_context(file_of_description(text, "fr3.urdf"))
+    return replace(options, urdf=path, tool_frame=flange)
 
 
 def ask_to_move(name: str, motion: str) -> None:
@@ -192,11 +195,7 @@ def limits_of(arm: GuardedArm | SimulatedArm) -> Limits:
 
 
 def samples_until_stopped(
-    arm: Any,
-    options: ArmOptions,
-    *,
-    is_paced: bool = True,
-    show_silence: Callable[[float], None] = say_silence,
+    arm: Any, options: ArmOptions, *, is_paced: bool = True
 ) -> Iterator[ArmReading]:
     """Yield samples until the time is over or a signal ends it.
 
@@ -206,7 +205,6 @@ def samples_until_stopped(
         arm: A connection of `needleforce.devices`.
         options: For how long it is listened to.
         is_paced: A simulated arm sends in real time, else as fast as it can.
-        show_silence: Called every 0.1 s of a silence with its length [s].
 
     Raises:
         CommandError: Nothing came until then.
@@ -219,7 +217,7 @@ def samples_until_stopped(
         for number in (signal.SIGTERM, signal.SIGHUP)
         if signal.getsignal(number) != signal.SIG_IGN
     ]
-    arm.on_silence = show_silence
+    arm.on_silence = say_silence
     passed_s = 0.0
     with stop_request(*signals, then=arm.end) as is_asked:
         for sample in pace(arm) if is_paced and isinstance(arm, ReplayArm) else arm:
@@ -264,13 +262,12 @@ def record_signals(
         The exit code.
     """
     check_writable(output, overwrites=overwrites)  # before the arm is waited for
-    has_torque = True
     with (
-        open_arm(arm_name, robot, options.motor_constants) as arm,
+        open_arm(arm_name, robot, options.motor_constants) as (arm, described),
         Recorder(
             output,
             arm.robot.joint_names,
-            labels_of_arm(described_robot(arm_name, robot), arm.robot),
+            labels_of_arm(described, arm.robot),
             overwrites=overwrites,
         ) as recorder,
     ):
@@ -279,7 +276,6 @@ def record_signals(
         try:
             for sample in samples_until_stopped(arm, options):
                 recorder.put(sample)
-                has_torque = sample.tau_Nm is not None
         except LinkError as error:
             if not recorder.rows:
                 raise
@@ -288,6 +284,6 @@ def record_signals(
                 f"{recorder.time_s:.3f} s"
             ) from error
     say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
-    if not has_torque:
+    if arm_name.startswith("ur:") and options.motor_constants is None:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0

@@ -35,9 +35,8 @@ def measure_arm(
             "either way.",
         )
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(arm_name, options, takes_commands=True) as arm:
-        robot = arm.robot
-        delays = measure_lag(arm, robot, limits_of(arm))
+    with open_arm(arm_name, options, takes_commands=True) as (arm, _):
+        delays = measure_lag(arm, arm.robot, limits_of(arm))
     slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
     gain = find_safe_gain(slowest)
     joints = [
@@ -47,7 +46,7 @@ def measure_arm(
             "std_ms": S_TO_MS * delay.std_s,
             "followed": delay.followed,
         }
-        for name, delay in zip(robot.joint_names, delays, strict=True)
+        for name, delay in zip(arm.robot.joint_names, delays, strict=True)
     ]
     numbers = {
         "cycle_ms": S_TO_MS * slowest.cycle_s,

@@ -12,7 +12,6 @@ from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ask_to_move,
-    described_robot,
     limits_of,
     open_arm,
     samples_until_stopped,
@@ -23,16 +22,15 @@ from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.session_parts import auto_tare, load_plan
 from needleforce.cli.terminal import CHECK_ARM, CommandError, say, write_out
 from needleforce.control.tare_stroke import tare_with_stroke
-from needleforce.depth_zero import find_depth_zero
 from needleforce.devices import ArmReading, LinkReport, NetFT
 from needleforce.devices.rdt import describe_status
 from needleforce.insertion_events import session_events
-from needleforce.needle_on_plan import describe_clearances, describe_deviation
-from needleforce.plan_file import LoadedPlan
 from needleforce.reference_force import ReferenceForce
+from needleforce.scene import open_viewer
+from needleforce.scene.nodes import EMPTY
+from needleforce.scene.words import describe_state
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.tare_run import AutoTare
-from urdf import Robot
 
 MEAN_SPEED_m_s = 0.01
 """Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
@@ -85,14 +83,17 @@ def watch_arm(
         opened = _open_tared_arm(
             arm_name, robot, options, stroke_m, is_confirmed=is_confirmed
         )
-        arm, session = stack.enter_context(opened)
+        arm, described, session = stack.enter_context(opened)
         reference = page = None
         if reference_address is not None:
             sensor = _open_reference(reference_address, reference_axis)
             reference = stack.enter_context(sensor)
         if port is not None:
-            robot = described_robot(arm_name, robot)
-            page = stack.enter_context(_open_page(arm.robot, plan, robot, port))
+            say("opening the scene ...")
+            scene = EMPTY if plan is None else plan.scene
+            shapes = urdf_with_shapes(described)
+            viewer = open_viewer(arm.robot, scene, urdf_path=shapes, port=port)
+            page = stack.enter_context(viewer)
             say(f"{page.url} shows the scene")
         if plan is not None:
             plan.follow_with(session)
@@ -108,18 +109,6 @@ def watch_arm(
         )
     say(f"{arm.report}; {session.rejected} samples rejected by the session")
     return 0
-
-
-def _open_page(
-    model: Robot, plan: LoadedPlan | None, robot: RobotOptions, port: int
-) -> Any:
-    """Return the page of the scene beside the session."""
-    from needleforce.scene import open_viewer
-    from needleforce.scene.nodes import EMPTY
-
-    say("opening the scene ...")
-    scene = EMPTY if plan is None else plan.scene
-    return open_viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
 
 
 def _estimates(
@@ -146,10 +135,10 @@ def _estimates(
             zero_due_s = 0.0
         if reference is not None:
             reference.update(estimate.wrench)
-            if zero_due_s <= 0.0 and not reference.zero():
-                say("the reference had sent nothing at the tare: no reference")
-        if zero_due_s <= 0.0:
-            zero_due_s = math.inf
+            if zero_due_s <= 0.0:
+                zero_due_s = math.inf
+                if not reference.zero():
+                    say("the reference had sent nothing at the tare: no reference")
         yield sample, estimate
 
 
@@ -185,11 +174,12 @@ def _open_tared_arm(
     stroke_m: float | None,
     *,
     is_confirmed: bool,
-) -> Iterator[tuple[Any, InsertionSession]]:
+) -> Iterator[tuple[Any, RobotOptions, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
-    A simulated arm stays the one that has moved; any other is given back and opened
-    anew, so that its user may move it. The session is not tared without a stroke.
+    Yields the arm, options that describe its robot, and the session, which is not tared
+    without a stroke. A simulated arm stays the one that has moved; any other is given
+    back and opened anew, so that its user may move it.
 
     Args:
         name: The arm as the command line names it.
@@ -202,37 +192,36 @@ def _open_tared_arm(
         CommandError: The user says no, or the arm sends no torques.
     """
     constants_Nm_A = options.motor_constants
-    if stroke_m is None:
-        with open_arm(name, robot, constants_Nm_A) as arm:
-            yield arm, InsertionSession(arm.robot)
-        return
-    if name.startswith("ur:") and constants_Nm_A is None:
-        raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
-    leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
-    text = (
-        f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and return "
-        f"in {2.0 * leg_s:.0f} s."
-    )
-    if not is_confirmed:
-        ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
-    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(name, robot, constants_Nm_A, takes_commands=True) as arm:
-        session = InsertionSession(arm.robot)
-        say(text)
-        tare_with_stroke(
-            arm,
-            session,
-            limits_of(arm),
-            stroke_m=stroke_m,
-            leg_s=leg_s,
-            robot=arm.robot,
+    session = None
+    if stroke_m is not None:
+        if name.startswith("ur:") and constants_Nm_A is None:
+            raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
+        leg_s = max(stroke_m / MEAN_SPEED_m_s, MIN_LEG_S)
+        text = (
+            f"{name} will draw the needle back by {M_TO_MM * stroke_m:.0f} mm and "
+            f"return in {2.0 * leg_s:.0f} s."
         )
-        say("tared")
-        if isinstance(arm, SimulatedArm):
-            yield _RestingArm(arm), session
-            return
-    with open_arm(name, robot, constants_Nm_A) as arm:
-        yield arm, session
+        if not is_confirmed:
+            ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
+        compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
+        opened = open_arm(name, robot, constants_Nm_A, takes_commands=True)
+        with opened as (arm, described):
+            session = InsertionSession(arm.robot)
+            say(text)
+            tare_with_stroke(
+                arm,
+                session,
+                limits_of(arm),
+                stroke_m=stroke_m,
+                leg_s=leg_s,
+                robot=arm.robot,
+            )
+            say("tared")
+            if isinstance(arm, SimulatedArm):
+                yield _RestingArm(arm), described, session
+                return
+    with open_arm(name, robot, constants_Nm_A) as (arm, described):
+        yield arm, described, session or InsertionSession(arm.robot)
 
 
 @contextmanager
@@ -248,7 +237,7 @@ def _open_reference(address: str, axis: Direction) -> Iterator[ReferenceForce]:
 def show(
     estimate: SessionEstimate, reference: ReferenceForce | None, next_s: float
 ) -> float:
-    """Print events at once, and all the rest once a second.
+    """Print what happened with a sample, and the state once a second.
 
     Returns:
         The time of the session at which the next line is due.
@@ -258,35 +247,12 @@ def show(
             write_out(f"{event.text}\n")
     if estimate.time_s < next_s:
         return next_s
-    said = [str(estimate.warnings or ""), estimate.wrench.message]
-    values = [*describe_values(estimate, reference), *said]
-    write_out("  ".join(filter(None, values)) + "\n")
-    return estimate.time_s + 1.0
-
-
-def describe_values(
-    estimate: SessionEstimate, reference: ReferenceForce | None
-) -> list[str]:
-    """Return time, forces, depth and plan in words."""
-    max_std_N = 99.0  # Largest standard deviation that is printed [N]
-    wrench = estimate.wrench
-    identification = estimate.identification
-    std_N = min(wrench.axial_std, max_std_N)
-    force = f"force {wrench.axial:6.2f} ± {std_N:.3f} N"
+    state = [*describe_state(estimate)]
     if reference is not None:
-        force += f" ({describe_reference(reference)})"
-    zero = find_depth_zero(estimate)
-    values = [
-        f"{estimate.time_s:8.1f} s  {estimate.status}",
-        force,
-        f"tip {identification.tip_force_N:6.2f} N  depth "
-        f"{zero.shown_mm(estimate.depth_m):6.1f} mm {zero.name}  layer "
-        f"{identification.layer}",
-        _describe_plan(estimate),
-    ]
-    if estimate.deviation is not None:
-        values.append(describe_deviation(estimate.deviation))
-    return [*values, describe_clearances(estimate.clearances)]
+        state.append(describe_reference(reference))
+    state += [str(estimate.warnings or ""), estimate.wrench.message]
+    write_out("  ".join(filter(None, state)) + "\n")
+    return estimate.time_s + 1.0
 
 
 def describe_reference(reference: ReferenceForce) -> str:
@@ -294,20 +260,3 @@ def describe_reference(reference: ReferenceForce) -> str:
     return (
         f"reference {reference.axial_N:.2f} N, rms difference {reference.rms_N:.3f} N"
     )
-
-
-def _describe_plan(estimate: SessionEstimate) -> str:
-    """Return where the tip is by the plan, what comes next, and the plan's offset."""
-    plan = estimate.plan
-    if plan is None:
-        return ""
-    if estimate.deviation is not None and estimate.deviation.is_off_plan:
-        return "no layer is named off the plan"
-    text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
-    if plan.next_name:
-        next_mm = find_depth_zero(estimate).shown_mm(plan.next_m)
-        next_std_mm = M_TO_MM * plan.next_std_m
-        text += f", {plan.next_name} at {next_mm:.1f} ± {next_std_mm:.1f} mm"
-    offset_mm = M_TO_MM * plan.offset_m
-    offset_std_mm = M_TO_MM * plan.offset_std_m
-    return f"{text}, offset {offset_mm:+.1f} ± {offset_std_mm:.1f} mm"

@@ -1,6 +1,6 @@
 """`needleforce demo abdomen`: from a CT to its target, as a table and as a page."""
 
-from importlib.util import find_spec
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ from needleforce import plots
 from needleforce.anatomy import Registration
 from needleforce.cli.demos.insertion import NOT_MEDICAL
 from needleforce.cli.options import RobotOptions
+from needleforce.cli.patient.plan_page import write_plan_page
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.terminal import (
     aligned,
@@ -24,9 +25,6 @@ from needleforce.simulation.planned_insertion import (
     PlannedInsertion,
     insert,
 )
-
-SCENE = "scene.html"
-"""Name of the scene in the folder of a report."""
 
 TITLE = "From a CT to a needle whose ruptures correct the plan"
 
@@ -71,7 +69,7 @@ def _write_page(
     insertion: PlannedInsertion, rows: dict[str, str], folder: Path
 ) -> None:
     """Write the page: CT and path, what the insertion made of the plan, the film."""
-    scan = draw_along(
+    picture = draw_along(
         insertion.torso.scan,
         insertion.torso.labels,
         insertion.path,
@@ -79,22 +77,17 @@ def _write_page(
         ruptures_m=[one.depth_m - insertion.shift_m for one in insertion.ruptures],
         tip_m=insertion.stop_m - insertion.shift_m,
     )
-    in_space = "3-D film: not made, the extra `scene` is not installed."
-    if find_spec("viser") is not None:
-        write_scene(insertion, folder / SCENE)
-        in_space = f"3-D film: open `{SCENE}` in the same folder."
     table = plots.PageTable(
         caption="Result", head=("what", "value"), rows=tuple(rows.items())
     )
-    picture = plots.PageFigure(path=scan, alt=CAPTION, caption=CAPTION)
-    section = plots.Section(
-        heading="Plan and insertion",
-        anchor="insertion",
-        figures=(picture,),
-        tables=(table,),
+    write_plan_page(
+        folder,
+        TITLE,
+        NOT_MEDICAL,
+        table,
+        {CAPTION: picture},
+        partial(write_scene, insertion),
     )
-    page = plots.Page(title=TITLE, lead=(in_space, NOT_MEDICAL), sections=(section,))
-    plots.write_page(folder / plots.PAGE, page)
 
 
 def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
@@ -112,8 +105,7 @@ def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
         translation_m=insertion.placement.translation_m,
         scan=crop_scan(insertion.torso.scan, planned.entry_m, planned.target_m),
     )
-    shapes = urdf_with_shapes(RobotOptions())
-    viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
+    viewer = Viewer(insertion.robot, scene, urdf_path=urdf_with_shapes(RobotOptions()))
     viewer.append(insertion.moments)
     try:
         return viewer.export(path)

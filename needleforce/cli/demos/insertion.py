@@ -81,9 +81,8 @@ def demonstrate(seed: int) -> Result:
         # The errors of this plant model are those measured on the real arm.
         insertion = simulate(SCENARIO, "fri", seed, progress)
     signals = insertion.signals
+    # Like the real arm it sends no velocities.
     channels = {"q_rad": signals.q_rad, "tau_Nm": signals.tau_Nm}
-    if signals.dq_rad_s is not None:
-        channels["dq_rad_s"] = signals.dq_rad_s
     log = Log(t_s=signals.t_s, channels=channels)
     window = TareWindow(0.0, insertion.tare_end_s)
     with progress_bar("estimating from joint signals") as progress:

@@ -13,14 +13,10 @@ import msgspec
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.anatomy.markups import UNITS_m, look_up, read_points
 from needleforce.anatomy.volume import is_known
-from needleforce.cli.terminal import (
-    OTHER_PLACE,
-    CommandError,
-    json_text,
-    progress_bar,
-)
+from needleforce.cli.terminal import CommandError, json_text, progress_bar
 from needleforce.files import whole_file
 from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
+from needleforce.recordings.errors import file_errors
 
 MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the commands need."""
@@ -204,15 +200,10 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any] | TouchFile) -> None
     """Write a plan's file, or what was touched, whole or not at all.
 
     Raises:
-        CommandError: The file cannot be written.
+        needleforce.recordings.FileAccessError: The file cannot be written.
     """
-    try:
-        with whole_file(path) as file:
-            file.write(json_text(fields).encode())
-    except OSError as error:
-        raise CommandError(
-            f"cannot write {path}: {error.strerror}", OTHER_PLACE
-        ) from error
+    with file_errors(path, "write"), whole_file(path) as file:
+        file.write(json_text(fields).encode())
 
 
 def relative_path(path: Path, folder: Path) -> str:

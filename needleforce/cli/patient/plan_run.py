@@ -1,7 +1,7 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
 from collections.abc import Sequence
-from importlib.util import find_spec
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from needleforce.anatomy.path_search import PathLimits, SkinPath
 from needleforce.anatomy.volume import is_known
 from needleforce.cli.options import PathOptions, PointOptions
 from needleforce.cli.patient import case_files
+from needleforce.cli.patient.plan_page import write_plan_page
 from needleforce.cli.terminal import (
     CommandError,
     progress_bar,
@@ -98,8 +99,9 @@ def plan_paths(
     plots.require_matplotlib("plan")
     require_modules("plan", case_files.MODULES)
     space = FreeSpace(limits.radius / M_TO_MM, limits.margin / M_TO_MM)
-    max_angle_rad = float(np.radians(limits.cone))
-    path_limits = PathLimits(limits.max_length / M_TO_MM, max_angle_rad, space)
+    path_limits = PathLimits(
+        limits.max_length / M_TO_MM, np.radians(limits.cone).item(), space
+    )
     structures = case_files.parse_structures(structures_text)
     case = case_files.read_case(
         ct, labels_file, structures, situs_inversus=situs_inversus
@@ -131,14 +133,14 @@ def plan_paths(
     ends_m = np.array([chosen.entry_m, chosen.target_m])
     digest = hash_sources(case.scan, case.file_labels, ends_m, chosen.layers, space)
     names = ("name", "exit_m", "exit_std_m", "is_obstacle")
-    if isinstance(structures, Path):
-        structures = case_files.relative_path(structures, folder)
     fields = {
         "version": PLAN_VERSION,
         "target": target,
         "ct": case_files.relative_path(ct, folder),
         "labels": case_files.relative_path(labels_file, folder),
-        "structures": structures or {},
+        "structures": case_files.relative_path(structures, folder)
+        if isinstance(structures, Path)
+        else structures or {},
         "situs_inversus": situs_inversus,
         "entry_m": chosen.entry_m,
         "target_m": chosen.target_m,
@@ -290,39 +292,24 @@ def _write_page(
     needed_m: float,
     folder: Path,
 ) -> None:
-    """Write the page of a plan, and the 3-D page where viser is installed."""
+    """Write the page of a plan."""
     labels = case.labels
     along = draw_along(case.scan, labels, path, folder / "along.png")
     place = folder / "probes-eye.png"
     across = draw_probe_view(case.scan, labels, path, needed_m, place)
-    in_space = "3-D view: not drawn, the extra `scene` is not installed."
-    if find_spec("viser") is not None:
-        _write_scene(labels, path, folder / "scene.html")
-        in_space = "3-D view: open `scene.html` in the same folder."
-    places_mm = {"Entry": M_TO_MM * path.entry_m, "Target": M_TO_MM * path.target_m}
-    ends = [
-        f"{name}, LPS: {place_mm.round(1)} mm" for name, place_mm in places_mm.items()
-    ]
-    sections = (
-        plots.Section(
-            heading=f"Path to {target}",
-            anchor="path",
-            paragraphs=(*ends, in_space),
-            notices=tuple(filter(None, (labels.unchecked,))),
-            tables=(table,),
-        ),
-        plots.Section(
-            heading="Slices",
-            anchor="slices",
-            figures=(
-                plots.PageFigure(path=along, alt=ALONG, caption=ALONG),
-                plots.PageFigure(path=across, alt=ACROSS, caption=ACROSS),
-            ),
-        ),
+    write_plan_page(
+        folder,
+        f"Plan: {target}",
+        case_files.NOT_MEDICAL,
+        table,
+        {ALONG: along, ACROSS: across},
+        partial(_write_scene, labels, path),
+        paragraphs=[
+            f"{name}, LPS: {(M_TO_MM * place_m).round(1)} mm"
+            for name, place_m in (("Entry", path.entry_m), ("Target", path.target_m))
+        ],
+        notices=[*filter(None, (labels.unchecked,))],
     )
-    lead = (case_files.NOT_MEDICAL,)
-    page = plots.Page(title=f"Plan: {target}", lead=lead, sections=sections)
-    plots.write_page(folder / plots.PAGE, page)
 
 
 def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:

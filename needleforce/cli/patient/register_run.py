@@ -15,6 +15,7 @@ from needleforce.anatomy.registration import (
     MAX_DEGREES,
     MIN_VERIFIED,
     LandmarkResidual,
+    RigidTransform,
     judge_landmarks,
 )
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
@@ -108,8 +109,7 @@ def register_plan(
         )
     else:
         motion = anatomy.read_transform(transform, transform_from, points.unit)
-        std_m = M_PER_MM * transform_std_mm
-        fit = _fit_of_transform(fields, motion.rotation, motion.translation_m, std_m)
+        fit = _fit_of_transform(fields, motion, M_PER_MM * transform_std_mm)
     folder = place if place.is_dir() else place.parent
     labels = case_files.case_of_plan(fields, folder).labels
     skin = labels.skin()
@@ -131,11 +131,11 @@ def register_plan(
                 )
     distances_m = _skin_distances_m(fit, skin, touches_m)
     if transform is not None:
-        expected_mm = float(np.hypot(transform_std_mm or 0.0, errors.touch_std))
-        _require_touched_skin(distances_m, M_PER_MM * expected_mm)
+        expected_mm = np.hypot(transform_std_mm or 0.0, errors.touch_std)
+        _require_touched_skin(distances_m, M_PER_MM * expected_mm.item())
     added = _fit_fields(fields, fit, residuals, distances_m, M_PER_MM * errors.motion)
-    rows = _rows(fit, residuals, distances_m, added)
-    write_out(f"{aligned(rows.items())}{case_files.NOT_MEDICAL}\n")
+    report = aligned(_rows(fit, residuals, distances_m, added))
+    write_out(f"{report}{case_files.NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
     moved = {
         key: case_files.relative_path(folder / fields[key], output.parent)
@@ -164,15 +164,15 @@ def _places_of(
 
 
 def _fit_of_transform(
-    fields: Mapping[str, Any], rotation: Array, translation_m: Array, std_m: float
+    fields: Mapping[str, Any], motion: RigidTransform, std_m: float
 ) -> Registration:
     """Return the registration of a transform with one deviation at the patient."""
-    ends_m = np.array([fields["entry_m"], fields["target_m"]]) @ rotation.T
-    ends_m = ends_m + translation_m
-    path = PlannedPath.of_std(ends_m[0], ends_m[1], std_m)
+    ends_m = np.array([fields["entry_m"], fields["target_m"]])
+    entry_m, target_m = motion.carry(ends_m)
+    path = PlannedPath.of_std(entry_m, target_m, std_m)
     return Registration(
-        rotation=rotation,
-        translation_m=translation_m,
+        rotation=motion.rotation,
+        translation_m=motion.translation_m,
         covariance=path.covariance,
         pivot_m=path.pivot_m,
         degrees=np.inf,
@@ -259,28 +259,29 @@ def _rows(
     residuals: Sequence[LandmarkResidual],
     distances_m: Array,
     added: Mapping[str, Any],
-) -> dict[str, str]:
-    """Return the text of every line of the report, by its label."""
+) -> Iterator[tuple[str, str]]:
+    """Yield every line of the report: its label and its text."""
     level = 0.95  # of the region at the target
-    rows: dict[str, str] = {}
     for one in residuals:
         text = f"residual {one.left_m / M_PER_MM:.1f} mm"
         if np.isfinite(one.left_out_m):
             text += f", {one.left_out_m / M_PER_MM:.1f} mm from where the others put it"
         if np.isfinite(one.probability):
             text += f" (p = {one.probability:.2g})"
-        rows[f"landmark {one.name}"] = text
+        yield f"landmark {one.name}", text
     sizes_mm = np.abs(distances_m) / M_PER_MM
     if len(sizes_mm):
-        rows[f"{len(sizes_mm)} touches of the skin"] = (
+        yield (
+            f"{len(sizes_mm)} touches of the skin",
             f"half within {np.median(sizes_mm):.1f} mm, 9 of 10 within "
             f"{np.quantile(sizes_mm, 0.9):.1f} mm, largest {sizes_mm.max():.1f} mm "
-            f"(touch {int(sizes_mm.argmax()) + 1})"
+            f"(touch {int(sizes_mm.argmax()) + 1})",
         )
     if fit.indentation_std_m > 1e-6:  # of a surface that is not hard
-        rows["touches press the skin in"] = (
+        yield (
+            "touches press the skin in",
             f"by {fit.indentation_m / M_PER_MM:.1f} ± "
-            f"{fit.indentation_std_m / M_PER_MM:.1f} mm"
+            f"{fit.indentation_std_m / M_PER_MM:.1f} mm",
         )
     place = added["registration"]
     target_mm = place["target_in_base_m"] / M_PER_MM
@@ -288,21 +289,23 @@ def _rows(
     quantile = 3.0 * fdtri(3, place["degrees"], level)
     half_axes_m2 = np.maximum(np.linalg.eigvalsh(covariance)[::-1], 0.0) * quantile
     region_mm = np.sqrt(half_axes_m2) / M_PER_MM
-    return rows | {
-        "target in the robot's base": (
-            f"{', '.join(f'{value:.1f}' for value in target_mm)} mm"
-        ),
-        "expected error at the target": (
-            f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms"
-        ),
-        "it lies with 95 % within": (
-            f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)"
-        ),
-        "layers along the needle": (
-            f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, "
-            f"with the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)"
-        ),
-    }
+    yield (
+        "target in the robot's base",
+        f"{', '.join(f'{value:.1f}' for value in target_mm)} mm",
+    )
+    yield (
+        "expected error at the target",
+        f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms",
+    )
+    yield (
+        "it lies with 95 % within",
+        f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)",
+    )
+    yield (
+        "layers along the needle",
+        f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, "
+        f"with the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)",
+    )
 
 
 def _require_clear_path(

@@ -2,8 +2,8 @@
 
 import select
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from needleforce.cli.arms.arm_connection import (
 from needleforce.cli.options import ArmOptions, PointOptions, RobotOptions
 from needleforce.cli.patient import case_files
 from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
-from needleforce.devices import LinkError
 from needleforce.recordings.output import require_place
 from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
@@ -63,22 +62,40 @@ def record_touches(
         wanted = read_markup(landmarks, points.unit, points.frame)
     names = wanted.names
     places_m: list[Array] = []
-    lost: LinkError | None = None
-    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as arm:
+    with _open_touching_arm(arm_name, robot, options, wanted.points_m) as (arm, _):
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
             for touch in _touches(arm, options, contact_N):
-                say(f"{_take(touch, places_m)}{_next(names, places_m)}")
+                if touch is None:
+                    del places_m[-1:]
+                    said = "undone"
+                else:
+                    places_m.append(touch.place_m)
+                    place_mm = ", ".join(
+                        f"{1e3 * value:.1f}" for value in touch.place_m
+                    )
+                    said = (
+                        f"touch {len(places_m)} at {place_mm} mm, {touch.force_N:.1f} N"
+                    )
+                say(f"{said}{_next(names, places_m)}")
                 if len(places_m) >= len(names) + count:
                     break
-        except LinkError as error:
-            lost = error
-    if lost is None and not places_m:
+        finally:  # of an arm that was lost, too
+            if places_m:
+                _write_touches(output, names, places_m)
+    if not places_m:
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
             CHECK_ARM,
         )
+    return 0
+
+
+def _write_touches(
+    output: Path, names: tuple[str, ...], places_m: Sequence[Array]
+) -> None:
+    """Write what was touched: landmarks of these names first, then the skin."""
     places = [tuple(place_m.tolist()) for place_m in places_m]
     touched = case_files.TouchFile(
         version=1,
@@ -90,32 +107,18 @@ def record_touches(
         f"{len(touched.landmarks)} of {len(names)} landmarks and "
         f"{len(touched.touches_m)} touches of the skin in {output}"
     )
-    if lost is not None:
-        raise lost
-    return 0
 
 
-def _take(touch: TipTouch | None, places_m: list[Array]) -> str:
-    """Add a touch to the places, or remove the last one; say which."""
-    if touch is None:
-        del places_m[-1:]
-        return "undone"
-    places_m.append(touch.place_m)
-    place_mm = ", ".join(f"{1e3 * value:.1f}" for value in touch.place_m)
-    return f"touch {len(places_m)} at {place_mm} mm, {touch.force_N:.1f} N"
-
-
-def _next(names: tuple[str, ...], places_m: list[Array]) -> str:
+def _next(names: tuple[str, ...], places_m: Sequence[Array]) -> str:
     """Return in words what is wanted next."""
     if len(places_m) < len(names):
         return f"; next: landmark {names[len(places_m)]!r}"
     return "; next: the skin, anywhere around the entry"
 
 
-@contextmanager
 def _open_touching_arm(
     name: str, robot: RobotOptions, options: ArmOptions, landmarks_m: Array
-) -> Iterator[Any]:
+) -> AbstractContextManager[tuple[Any, RobotOptions]]:
     """Open the arm that a user names, or a simulated one that touches a plan's patient.
 
     Args:
@@ -125,28 +128,22 @@ def _open_touching_arm(
         landmarks_m: Points that the simulated arm touches first, shape (n, 3).
     """
     kind, _, plan = name.partition(":")
-    if kind == "sim" and plan.endswith(".json"):
-        fields = case_files.read_plan_fields(Path(plan))
-        labels = case_files.case_of_plan(fields, Path(plan).parent).labels
-        with progress_bar("simulating"):
-            arm = touch_patient(fields, labels, landmarks_m)
-        yield arm
-        return
-    with open_arm(name, robot, options.motor_constants) as arm:
-        yield arm
+    if kind != "sim" or not plan.endswith(".json"):
+        return open_arm(name, robot, options.motor_constants)
+    fields = case_files.read_plan_fields(Path(plan))
+    labels = case_files.case_of_plan(fields, Path(plan).parent).labels
+    with progress_bar("simulating"):
+        return nullcontext((touch_patient(fields, labels, landmarks_m), robot))
 
 
 def _touches(
     arm: Any, options: ArmOptions, contact_N: float
 ) -> Iterator[TipTouch | None]:
     """Yield touches as they come, None where the last one is undone."""
-    key_s = 0.05  # time between two looks at the keyboard
     robot: Robot = arm.robot
     sensor = VirtualForceSensor(robot)
     detector = TouchDetector(contact_N)
     data = robot.create_data()
-    next_key_s = 0.0
-    time_s = 0.0
     for sample in samples_until_stopped(arm, options, is_paced=False):
         if sample.tau_Nm is None:
             raise CommandError(NO_TORQUES, CHECK_ARM)
@@ -158,10 +155,6 @@ def _touches(
         touch = detector.update(sample.dt_s, tip_m, wrench.force)
         if touch is not None:
             yield touch
-        time_s += sample.dt_s
-        if time_s < next_key_s:
-            continue
-        next_key_s = time_s + key_s
         key = _read_key()
         if key == "q":
             return

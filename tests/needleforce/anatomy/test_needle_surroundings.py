@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from needleforce import PlannedPath
-from needleforce.cli.arms.arm_watch import describe_values
 from needleforce.cli.logs.plan_found import add_place_on_plan
 from needleforce.cli.logs.result import Result
 from needleforce.control import SafetyLimits, State
@@ -20,7 +19,7 @@ from needleforce.plan_follower import PlanFollower
 from needleforce.ros2.reports import plan_reports
 from needleforce.scene import PlanScene
 from needleforce.scene.insertion_card import card_html
-from needleforce.scene.words import find_banner
+from needleforce.scene.words import describe_state, find_banner
 from tests.needleforce.anatomy.test_path import (
     TURN,
     PLANNED_m,
@@ -71,7 +70,7 @@ def test_live_scene_report_json_and_ros_say_the_same(
     deviation = path.deviation(tip_m, axis)
     clearances = around.clearances(tip_m, axis)
     estimate = tick(1.0, 0.04, deviation=deviation, clearances=clearances)
-    live = " ".join(describe_values(estimate, None))
+    live = " ".join(describe_state(estimate))
     json = state_values(deviation, clearances)
     (ros,) = plan_reports("needle", estimate)
     scene = PlanScene((), (), path.entry_m, path.target_m, watched=around.names)

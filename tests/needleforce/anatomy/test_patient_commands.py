@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         patch.setattr("needleforce.simulation.torso_case.SPACING_m", COARSE_m)
-        patch.setattr("needleforce.cli.patient.plan_run.find_spec", lambda name: None)
+        patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
         patch.setattr("needleforce.plan_file._large_surfaces", lambda *_: ())
         for arguments in commands()[:-1]:
             assert main(arguments) == 0

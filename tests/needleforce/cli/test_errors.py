@@ -33,8 +33,8 @@ FILES = {
     "given_friction.toml": "[friction]\na = 1\n",
     "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0]\n",
     "short.toml": (
-        "[viscous_coulomb]\nviscous_Nms = [0.0]\ncoulomb_Nm = [0.0]\n"
-        "offset_Nm = [0.0]\n"
+        "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0]\ncoulomb_Nm = [0.0, 0.0]\n"
+        "offset_Nm = [0.0, 0.0]\n"
     ),
     "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "three.toml": "payload = 3",
@@ -70,7 +70,6 @@ OPTIONS = {
     "--urdf arm.urdf --tool-frame tip --lock wrist": "'wrist'",
     "--urdf arm.urdf --tool-frame tip --lock gripper=open": "gripper=open",
     "--urdf arm.urdf --tool-frame tip --lock gripper": "2 joints",
-    "--tool-frame flange": "--urdf FILE",
     "--lock lwr_joint_3": "--lock",
     "--lock-others": "--lock-others",
     "--accept-inertia": "--accept-inertia",
@@ -89,7 +88,7 @@ OPTIONS = {
     "--gain inf": "gain_per_s",
     "--insertion-axis 0 0 0": "zero",
     "--friction part.toml": "coulomb_Nm",
-    "--friction short.toml": "one number per joint",
+    "--friction short.toml": "7 finite numbers",
     "--friction rotor_sign.toml": "negative",
     "--tare 4": "START:END",
     "--tare 0:soon": "0:soon",

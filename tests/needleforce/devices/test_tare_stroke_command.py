@@ -39,7 +39,7 @@ def test_live_moves_the_simulated_arm_and_is_tared(capsys, monkeypatch):
 
     output = capsys.readouterr()
     assert "draw the needle back by 20 mm" in output.err
-    assert "  ok  force" in output.out
+    assert " mm from the tare" in output.out
     assert "not tared" not in output.out
     # The sensor's zero is the mean of many readings: its noise of 1 N is left.
     rms_N, ticks = re.search(

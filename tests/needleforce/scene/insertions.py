@@ -26,7 +26,7 @@ def tick(time_s, depth_m=0.0, *, rupture=None, retracted=None, status="ok", **mo
     )
     values = {
         **{"depth_in_tissue_m": None, "plan": None, "deviation": None},
-        **{"clearances": (), "plan_events": ()},
+        **{"clearances": (), "plan_events": (), "warnings": ()},
     }
     return SimpleNamespace(
         time_s=time_s,
@@ -41,7 +41,13 @@ def tick(time_s, depth_m=0.0, *, rupture=None, retracted=None, status="ok", **mo
 
 def at_layer(layer, depth_m):
     return SimpleNamespace(
-        layer=layer, depth_m=depth_m, probability=0.9, time_s=0.0, force_N=1.0
+        layer=layer,
+        depth_m=depth_m,
+        probability=0.9,
+        time_s=0.0,
+        force_N=1.0,
+        speed_m_s=0.0,
+        alarm_s=0.0,
     )
 
 

@@ -61,7 +61,7 @@ def test_an_export_names_ruptures_warnings_and_what_it_is(exported):
 
     assert text.count("; retracted") == 1
     for part in (
-        "1.5 s: rupture 2 at 30.0 mm",
+        "1.5 s: rupture of layer 2 at 30.0 mm",
         "&lt;b&gt;unchecked",
         "not a medical device",
         "rupture detected",
@@ -217,14 +217,14 @@ def test_the_page_is_used_in_a_browser(open_page):
             "[...document.querySelectorAll('button')]"
             ".find(b => b.innerText.startsWith('6.0 s: rupture 1')).click()"
         )
-        assert page.wait_for(f"{text}.includes('rupture 1 at 12.0 mm')")
+        assert page.wait_for(f"{text}.includes('rupture of layer 1 at 12.0 mm')")
         assert viewer.slider.value == 6.0
         page.evaluate(
             "(() => { const s = document.querySelector('[role=slider]'); s.focus();"
             "s.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home',"
             "code: 'Home', bubbles: true})); })()"
         )
-        assert page.wait_for(f"!{text}.includes('rupture 1 at 12.0 mm')")
+        assert page.wait_for(f"!{text}.includes('rupture of layer 1 at 12.0 mm')")
         assert page.errors == []
     with browse(viewer.url, PHONE) as page:
         page.set_size(PHONE)
@@ -246,7 +246,7 @@ def test_a_loop_hands_ticks_to_a_page_process():
             view.put(tick(1e-3 * k, 1e-5 * k, rupture=1 if k == 500 else None), HOME)
         with browse(view.url) as page:
             text = "document.body.innerText"
-            assert page.wait_for(f"{text}.includes('rupture 1 at 5.0 mm')")
+            assert page.wait_for(f"{text}.includes('rupture of layer 1 at 5.0 mm')")
             assert page.wait_for(f"{text}.includes('1.0 s, 9.')")
     assert not view._process.is_alive()
 

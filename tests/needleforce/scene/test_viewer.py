@@ -45,7 +45,7 @@ def test_ruptures_are_shown_from_their_time_on(open_page):
 
     assert page.marks[0].time_s == pytest.approx(6.0)
     assert shown_marks(page) == [SEEN]
-    assert "rupture 1 at 12.0 mm" in words_of(page._text)
+    assert "rupture of layer 1 at 12.0 mm" in words_of(page._text)
     assert [shown_marks(page, time_s) for time_s in (3.0, 7.0, -1.0, 1.0)] == [
         [HIDDEN],
         [SEEN],
