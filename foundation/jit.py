@@ -80,26 +80,23 @@ def compiled(function: Function) -> Function:
     dispatcher = numba.njit(function)
     with suppress(RuntimeError):  # where no folder can be written
         dispatcher.enable_caching()
-        dispatcher._cache._cache_file._source_stamp = _stamp_of(function.__module__)
+        parts = function.__module__.split(".")
+        # The packages in `needleforce` share no compiled functions.
+        depth = 2 if parts[0] == "needleforce" and len(parts) > 2 else 1
+        # Kept code is of these sources: numba would look at one file only.
+        stamp = _hash_sources("/".join(parts[:depth]))
+        dispatcher._cache._cache_file._source_stamp = stamp
     _compile_on_demand(dispatcher)
     dispatchers.append(dispatcher)
     return dispatcher
 
 
-def _stamp_of(module: str) -> str:
-    """Return what says that kept code is of these sources; numba looks at one file."""
-    parts = module.split(".")
-    own = parts[:2] if parts[0] == "needleforce" else parts[:1]
-    return _hash_sources("/".join(own))
-
-
 @cache
-def _hash_sources(package: str) -> str:
-    """Return a hash of the sources of a package, and of this one."""
+def _hash_sources(folder: str) -> str:
+    """Return a hash of the sources below a folder, and of this package."""
     digest = sha256()
-    for name in (package, "foundation"):
-        module = ROOT.glob(f"{name}.py")
-        for path in sorted([*module, *(ROOT / name).rglob("*.py")]):
+    for name in (folder, "foundation"):
+        for path in sorted((ROOT / name).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

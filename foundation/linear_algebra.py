@@ -30,12 +30,6 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 @compiled_inside
-def add_up(values: Vector) -> float:
-    """Return the sum of values, shape (n,)."""
-    return values.sum()
-
-
-@compiled_inside
 def index_of_largest(values: Vector) -> int:
     """Return the index of the largest of n values, the first of equal ones."""
     largest = 0
@@ -201,12 +195,6 @@ def solve_least_squares(matrix: Matrix, values: Vector, tolerance: float) -> Arr
             for k in range(unknowns):
                 solution[k] += part / squares[i] * direction[k]
     return solution
-
-
-@compiled_inside
-def order_statistic(values: Vector, rank: int) -> float:
-    """Return the value with `rank` smaller ones, of n."""
-    return np.partition(values, rank)[rank]
 
 
 @compiled_inside

@@ -31,7 +31,7 @@ def as_record(state: State) -> list[State]:
 
 def from_record(kind: type[State], record: list[State]) -> State:
     """Return a copy of what compiled functions have written, as a state of a type."""
-    return _read(kind, record[0]) if COMPILER else deepcopy(record[0])
+    return _build(kind, record[0]) if COMPILER else deepcopy(record[0])
 
 
 def record_array(kind: type[State], size: int) -> list[State]:
@@ -65,26 +65,23 @@ def read_field(record: list[Any], name: str) -> Any:
     return record[0][name] if COMPILER else getattr(record[0], name)
 
 
-def _read(kind: Any, record: Any) -> Any:
-    values = {}
-    for name, hint in state_fields(kind).items():
-        value = record[name]
-        if hint in SCALARS:
-            values[name] = hint(value)
-        elif is_dataclass(hint):
-            values[name] = _read(hint, value)
-        else:
-            values[name] = tuple(_read(get_args(hint)[0], inner) for inner in value)
-    return kind(**values)
+def _build(hint: Any, value: Any) -> Any:
+    """Return the value of a field as its type: a number, a state, a tuple of states."""
+    if hint in SCALARS:
+        return hint(value)
+    if is_dataclass(hint):
+        return hint(*map(_build, state_fields(cast(type, hint)).values(), value))
+    return tuple(map(_build, get_args(hint), value))
 
 
 def _write(record: Any, state: Any) -> None:
+    """Write the fields of a state, and of those in it, into a record."""
     for name, hint in state_fields(type(state)).items():
         value = getattr(state, name)
-        if hint in SCALARS:
-            record[name] = value
-        elif is_dataclass(hint):
+        if is_dataclass(hint):
             _write(record[name], value)
+        elif hint in SCALARS:
+            record[name] = value
         else:
             for place, inner in zip(record[name], value, strict=True):
                 _write(place, inner)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 PLANNED_ENTRY = "below the planned entry"
 FIRST_CONTACT = "below first contact"
-TARE = "from the tare, before contact"
-FIRST_ROW = "from the first row"
 LOG_ZERO = "as in the log, without contact"
 
 
@@ -53,6 +51,6 @@ def find_depth_zero(estimate: "SessionEstimate") -> DepthZero:
     """Return where the depths of an estimate count from when they are shown."""
     below_m = estimate.depth_in_tissue_m
     if below_m is None:
-        return DepthZero(0.0, TARE)
+        return DepthZero(0.0, "from the tare, before contact")
     name = FIRST_CONTACT if estimate.deviation is None else PLANNED_ENTRY
     return DepthZero(estimate.depth_m - below_m, name)

@@ -5,6 +5,7 @@ a move aside that no tissue allows ends it anywhere.
 """
 
 import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from foundation.arrays import Array, Vector
@@ -13,7 +14,6 @@ from foundation.linear_algebra import dot
 from identification import LayerEstimate
 from identification.channel import (
     continue_channel,
-    count_depth_from,
     has_cut,
     read_friction,
 )
@@ -70,8 +70,9 @@ rupture of a gel takes 0.1 to 0.5 mm: the fall is then lost in the rise that fol
 it."""
 
 
-class InsertionProgress(NamedTuple):
-    """Course of an insertion, from the approach on.
+@dataclass
+class InsertionProgress:
+    """Course of an insertion, from the approach on; changes with every sample.
 
     Attributes:
         line: Place of the tip and direction of the needle when tissue was met; before,
@@ -100,13 +101,12 @@ class InsertionProgress(NamedTuple):
     too_fast_s: float = 0.0
     is_too_fast: bool = False
 
-    def moved_to(self, depth_m: float) -> "InsertionProgress":
-        """Return the course with the tip at a depth."""
+    def move_to(self, depth_m: float) -> None:
+        """Note that the tip is at a depth."""
         if depth_m > self.deepest_m:
-            return self._replace(deepest_m=depth_m, highest_m=depth_m)
-        if depth_m < self.highest_m:
-            return self._replace(highest_m=depth_m)
-        return self
+            self.deepest_m = depth_m
+            self.highest_m = depth_m
+        self.highest_m = min(self.highest_m, depth_m)
 
     def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
         """Return whether the needle has gone back in free air and advances again.
@@ -124,22 +124,13 @@ class InsertionProgress(NamedTuple):
         is_back = self.highest_m < last_m - retreat_m
         return is_back and depth_m > self.highest_m + advance_m
 
-    def with_depths_moved(self, by_m: float) -> "InsertionProgress":
-        """Return the same course with depths that count from another zero."""
-        channel = self.channel
-        if channel is not None:
-            channel = channel._replace(
-                begin_m=channel.begin_m + by_m,
-                end_m=channel.end_m + by_m,
-                checked_m=channel.checked_m + by_m,
-                in_air=count_depth_from(channel.in_air, by_m),
-            )
-        return self._replace(
-            line_depth_m=self.line_depth_m + by_m,
-            deepest_m=self.deepest_m + by_m,
-            highest_m=self.highest_m + by_m,
-            channel=channel,
-        )
+    def move_depths(self, by_m: float) -> None:
+        """Count depths from another zero."""
+        self.line_depth_m += by_m
+        self.deepest_m += by_m
+        self.highest_m += by_m
+        if self.channel is not None:
+            self.channel = self.channel.with_depths_moved(by_m)
 
 
 class CourseState(NamedTuple):
@@ -151,6 +142,7 @@ class CourseState(NamedTuple):
         time_s: See `SessionEstimate`.
         insertion: Course of this insertion.
         channels: Those that earlier insertions have cut.
+        is_started: Whether a valid sample has come.
     """
 
     zero: TravelZero
@@ -158,6 +150,7 @@ class CourseState(NamedTuple):
     time_s: float
     insertion: InsertionProgress
     channels: tuple[NeedleChannel, ...]
+    is_started: bool
 
 
 NeedleMotion = tuple[float, float, bool, bool, bool]
@@ -219,9 +212,9 @@ class InsertionCourse:
         travel: Depth and speed of the tip.
         insertion: Its course.
         channels: Those that earlier insertions have cut.
+        is_started: Whether a valid sample has come.
     """
 
-    zero: TravelZero
     channels: tuple[NeedleChannel, ...]
 
     def __init__(
@@ -242,28 +235,20 @@ class InsertionCourse:
         """Forget everything, the channels included."""
         self.time_s = 0.0
         self.channels = ()
-        self._is_started = False
+        self.is_started = False
+        self._zero_watch.begin_tare()
         self.begin_here()
 
     def state(self) -> CourseState:
         """Return what `restore` continues from; the plan has a state of its own."""
-        return CourseState(
-            self.zero, self.travel, self.time_s, self.insertion, self.channels
-        )
+        values = {name: getattr(self, name) for name in CourseState._fields}
+        return CourseState(**values)._replace(insertion=replace(self.insertion))
 
-    def restore(self, state: CourseState, *, is_started: bool) -> None:
-        """Continue from a state.
-
-        Args:
-            state: The state.
-            is_started: Whether a valid sample had come.
-        """
+    def restore(self, state: CourseState) -> None:
+        """Continue from a state."""
         self._count_depth_from(state.zero)
-        self.travel = state.travel
-        self.time_s = state.time_s
-        self.insertion = state.insertion
-        self.channels = state.channels
-        self._is_started = is_started
+        vars(self).update(state._asdict())
+        self.insertion = replace(state.insertion)
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -274,10 +259,9 @@ class InsertionCourse:
     @property
     def _line(self) -> TravelZero:
         """Where the tip is now, and the needle's direction."""
-        tool = self._tool
         return TravelZero(
-            start_in_base_m=tool.pose[:3, 3].copy(),
-            axis_in_base=tool.axis_in_base.copy(),
+            start_in_base_m=self._tool.pose[:3, 3].copy(),
+            axis_in_base=self._tool.axis_in_base.copy(),
         )
 
     @property
@@ -312,11 +296,11 @@ class InsertionCourse:
                 samples rejected in between, but not the jump of a clock that was set.
             force_lag_s: Lag of the force.
         """
-        if self._is_started:
+        if self.is_started:
             self.time_s += elapsed_s
         else:
             self.begin_where_tared()
-            self._is_started = True
+            self.is_started = True
         line = self.insertion.line
         position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
             follow_needle(
@@ -345,15 +329,13 @@ class InsertionCourse:
         """
         # An estimated speed is noisy: one that is seldom above the limit is slower.
         min_excess_s = 0.05
-        if self._is_in_air or self.insertion.is_too_fast:
+        insertion = self.insertion
+        if self._is_in_air or insertion.is_too_fast:
             return
         is_fast = self.travel.speed_m_s * force_lag_s > MAX_TRAVEL_IN_LAG_M
-        before_s = self.insertion.too_fast_s
-        excess_s = max(before_s + (dt_s if is_fast else -dt_s), 0.0)
-        if excess_s != before_s:
-            self.insertion = self.insertion._replace(
-                too_fast_s=excess_s, is_too_fast=excess_s > min_excess_s
-            )
+        excess_s = insertion.too_fast_s + (dt_s if is_fast else -dt_s)
+        insertion.too_fast_s = max(excess_s, 0.0)
+        insertion.is_too_fast = excess_s > min_excess_s
 
     def find_insertion(self, *, is_resuming: bool) -> bool:
         """Begin another insertion where the needle has left the last.
@@ -377,22 +359,21 @@ class InsertionCourse:
         """Begin another insertion where the needle has left the last."""
         depth_m = self.travel.depth_m
         contact_m = self._identifier.contact_m
-        insertion = self.insertion.moved_to(depth_m)
+        insertion = self.insertion
+        insertion.move_to(depth_m)
         is_met = contact_m is not None
         if insertion.is_met != is_met:
             # Tissue is met here, or has turned out not to have been met.
-            insertion = insertion._replace(
-                line=self._line, line_depth_m=depth_m, is_met=is_met
-            )
+            insertion.line = self._line
+            insertion.line_depth_m = depth_m
+            insertion.is_met = is_met
             self._is_aside = False
             self._is_off_line = False
-        self.insertion = insertion
         if contact_m is not None and depth_m >= contact_m:
             if not self._is_aside:
                 return
-            if not is_resuming:
-                # No tissue lets a needle move so.
-                self.insertion = insertion._replace(is_met=False)
+            # No tissue lets a needle move so: none was met, if every sample was used.
+            insertion.is_met = is_resuming
             self._leave_insertion()
         elif (
             self._is_aside
@@ -424,6 +405,7 @@ class InsertionCourse:
         """Begin an insertion where a tare says that there is free air."""
         if self._is_in_air:
             self.remember_channel()
+        self._zero_watch.begin_tare()
         self.begin_here()
 
     def begin_where_tared(self) -> None:
@@ -431,6 +413,7 @@ class InsertionCourse:
 
         No sample was used since the insertion began.
         """
+        self._zero_watch.begin_tare()
         self._count_depth_from(self._line)
         self.insertion = InsertionProgress(self.zero)
         self._identifier.date(self.time_s)
@@ -462,7 +445,7 @@ class InsertionCourse:
         self.travel = travel._replace(
             depth_m=0.0, delayed_depth_m=travel.delayed_depth_m + moved_m
         )
-        self.insertion = self.insertion.with_depths_moved(moved_m)
+        self.insertion.move_depths(moved_m)
         self._identifier.move_zero(moved_m, self.time_s)
         self.plan.move_zero(self.zero, moved_m)
 
@@ -549,7 +532,7 @@ class InsertionCourse:
         friction_N = identification.predicted_force_N
         excess_N = wrench.axial_unsmoothed - friction_N
         old = old.compared(self.travel, excess_N, wrench.axial_std)
-        self.insertion = self.insertion._replace(channel=old)
+        self.insertion.channel = old
         if old.is_contradicted(
             self.travel.delayed_speed_m_s,
             friction_N,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.channel import ChannelFriction
+from identification.channel import ChannelFriction, count_depth_from
 from identification.identifier import Snapshot as IdentifierSnapshot
 from needleforce.tip_travel import TipTravel, TravelZero
 
@@ -75,6 +75,15 @@ class OldChannel(NamedTuple):
     checked_m: float
     force_std_in_air_N: float = 0.0
     excess_N: float = 0.0
+
+    def with_depths_moved(self, by_m: float) -> "OldChannel":
+        """Return the channel with depths that count from another zero."""
+        return self._replace(
+            begin_m=self.begin_m + by_m,
+            end_m=self.end_m + by_m,
+            checked_m=self.checked_m + by_m,
+            in_air=count_depth_from(self.in_air, by_m),
+        )
 
     def compared(
         self, travel: TipTravel, excess_N: float, force_std_N: float

@@ -21,15 +21,6 @@ from foundation.arrays import Array
 if TYPE_CHECKING:
     from needleforce.anatomy import NeedleClearance, Registration
 
-MARGIN_m = 1e-3
-"""Distance beside the path that is never off the plan."""
-
-TOLERANCE_m = 5e-3
-"""How far the needle may be beside its path where no plan says it: the usual margin."""
-
-MARGIN_rad = math.radians(1.0)
-"""Angle that is never off the plan."""
-
 STDS = 3.7
 """Beyond so many standard deviations the needle is off the plan. A distance in a plane
 exceeds them by chance once in a thousand insertions."""
@@ -115,9 +106,9 @@ class PlannedPath:
     target_m: Array
     covariance: Array
     pivot_m: Array
-    margin_m: float = MARGIN_m
-    margin_rad: float = MARGIN_rad
-    tolerance_m: float = TOLERANCE_m
+    margin_m: float = 1e-3
+    margin_rad: float = math.radians(1.0)
+    tolerance_m: float = 5e-3
 
     @classmethod
     def of_registration(
@@ -164,8 +155,9 @@ class PlannedPath:
     @property
     def fingerprint(self) -> str:
         """Text that is equal for equal paths."""
-        values = [getattr(self, field.name) for field in fields(self)]
-        return repr([np.asarray(value).tolist() for value in values])
+        return repr(
+            [np.asarray(getattr(self, one.name)).tolist() for one in fields(self)]
+        )
 
     @cached_property
     def _jacobians(self) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -461,13 +460,11 @@ def _read_anatomy(
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
     """Return the part of a CT around a path; None where the CT does not reach it."""
     crop_margin_m = 0.1  # The scene keeps the CT up to here from the path [m]
-    corners_m = np.array([entry_m, target_m])
-    low_m = corners_m.min(axis=0) - crop_margin_m
-    high_m = corners_m.max(axis=0) + crop_margin_m
-    corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
-    indices = scan.grid.indices(corners)
-    first = np.clip(np.floor(indices.min(axis=0)), 0, scan.grid.shape).astype(int)
-    end = np.clip(np.ceil(indices.max(axis=0)) + 1, 0, scan.grid.shape).astype(int)
+    margin = crop_margin_m / scan.grid.spacing_m
+    ends = scan.grid.indices([entry_m, target_m])
+    first = np.clip(np.floor(ends.min(axis=0) - margin), 0, scan.grid.shape).astype(int)
+    stop = np.ceil(ends.max(axis=0) + margin) + 1
+    end = np.clip(stop, 0, scan.grid.shape).astype(int)
     part = scan.values[tuple(map(slice, first.tolist(), end.tolist()))]
     if not part.size:
         return None

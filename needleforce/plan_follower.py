@@ -128,8 +128,8 @@ class PlanFollower:
                 "needed_m": near[name].needed_m,
                 "std_m": near[name].std_m,
             }
-            event = SessionEvent("too_near", describe_too_near(near[name]), values)
-            self._events.append(event)
+            text = describe_too_near(near[name])
+            self._events.append(SessionEvent("too_near", text, values))
         self.memory = self.memory._replace(near=frozenset(near))
 
     def take_events(self) -> tuple[SessionEvent, ...]:
@@ -145,23 +145,6 @@ class PlanFollower:
             zero: Point and axis.
             ruptures: Those of the channel in which the needle goes on.
         """
-        self._begin_with(zero, tuple(ruptures))
-
-    def move_zero(self, zero: TravelZero, moved_m: float) -> None:
-        """Count depth from another point in the same insertion.
-
-        Args:
-            zero: Point and axis.
-            moved_m: Depth of a place from there less its depth before.
-        """
-        ruptures = tuple(
-            replace(rupture, depth_m=rupture.depth_m + moved_m)
-            for rupture in self.memory.ruptures
-        )
-        self._begin_with(zero, ruptures)
-
-    def _begin_with(self, zero: TravelZero, ruptures: tuple[Rupture, ...]) -> None:
-        """Count depth from a point along an axis, and match these ruptures."""
         entry_depth_m = 0.0
         if self._path is not None:
             way_m = self._path.entry_m - zero.start_in_base_m
@@ -171,11 +154,21 @@ class PlanFollower:
             PlanMemory(
                 memory.fingerprint,
                 entry_depth_m,
-                ruptures,
+                tuple(ruptures),
                 is_past_target=memory.is_past_target,
                 near=memory.near,
             )
         )
+
+    def move_zero(self, zero: TravelZero, moved_m: float) -> None:
+        """Count depth from another point in the same insertion.
+
+        Args:
+            zero: Point and axis.
+            moved_m: Depth of a place from there less its depth before.
+        """
+        ruptures = self.memory.ruptures
+        self.begin(zero, (replace(r, depth_m=r.depth_m + moved_m) for r in ruptures))
 
     def match(
         self, identification: Estimate, depth_m: float, contact_m: float | None

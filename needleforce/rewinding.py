@@ -78,7 +78,6 @@ class RewindingIdentifier:
         self.contact_m = self.identifier.contact_depth_m
         self.unused_s = time_s - begin_s
         self.is_save_due = False
-        self._had_events = False
 
     def restore(
         self,
@@ -134,15 +133,14 @@ class RewindingIdentifier:
         # before it is detected.
         period_s = 0.25
         self.last = estimate
-        self._had_events = estimate.has_events
         due_s = self.newer.time_s + period_s
-        self.is_save_due = self._had_events or time_s >= due_s
+        self.is_save_due = estimate.has_events or time_s >= due_s
 
     def save(self, time_s: float) -> None:
         """Save a state to rewind to."""
         checkpoint = Checkpoint(time_s, self.identifier.snapshot())
         # An event must not be reported twice: nothing before it is kept.
-        self.older = checkpoint if self._had_events else self.newer
+        self.older = checkpoint if self.last.has_events else self.newer
         self.newer = checkpoint
         self.is_save_due = False
 

@@ -6,8 +6,9 @@ ruptures, layers and the tip force to `identification`.
 """
 
 import math
+from collections.abc import Callable
 from copy import deepcopy
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -238,9 +239,7 @@ class InsertionSession:
             The estimate after this sample. A bad sample does not raise: the status
             reports it.
         """
-        was_taring = self._sensor.taring
-        wrench = self._sensor.update(q, dq, tau, dt_s)
-        return self._process(wrench, was_taring=was_taring)
+        return self._process(self._sensor.update, q, dq, tau, dt_s)
 
     def update_external_torque(
         self,
@@ -254,9 +253,8 @@ class InsertionSession:
         As `update`, with the torque of the environment on the joints [Nm], shape (n,),
         in place of the measured one.
         """
-        was_taring = self._sensor.taring
-        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
-        return self._process(wrench, was_taring=was_taring)
+        update = self._sensor.update_external_torque
+        return self._process(update, q, dq, external_torque, dt_s)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -271,7 +269,6 @@ class InsertionSession:
                 then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
-        self._zero_watch.begin_tare()
         self._needle.begin_tare()
         return tare
 
@@ -301,7 +298,6 @@ class InsertionSession:
             ignore_contact=ignore_contact, steps_per_tick=steps_per_tick
         )
         # Now, not in the tick that ends the tare: that would be a long one.
-        self._zero_watch.begin_tare()
         self._needle.begin_tare()
 
     def start_tare_recording(self) -> None:
@@ -365,7 +361,6 @@ class InsertionSession:
     def reset(self) -> None:
         """Forget everything, the tare and the channels included."""
         self._sensor.reset()
-        self._zero_watch.begin_tare()
         self._needle.reset()
 
     def snapshot(self) -> SessionSnapshot:
@@ -417,17 +412,18 @@ class InsertionSession:
             snapshot.identifier, snapshot.checkpoints, snapshot.unused_s
         )
         self._zero_watch.air = snapshot.air
-        is_started = snapshot.sensor.last is not None
-        self._needle.restore(snapshot.course, is_started=is_started)
+        self._needle.restore(snapshot.course)
         plan.resume(snapshot.plan)
-        if is_started:
+        if snapshot.course.is_started:
             plan.compare_with(self._sensor.kinematics)
 
-    def _process(self, wrench: WrenchEstimate, *, was_taring: bool) -> SessionEstimate:
-        """Identify with a sample, and count depth from here where it ends a tare."""
-        estimate = self._follow_needle(wrench)
+    def _process(
+        self, update: Callable[..., WrenchEstimate], *sample: Any
+    ) -> SessionEstimate:
+        """Update the sensor and identify; count depth from where a tare has ended."""
+        was_taring = self.taring
+        estimate = self._follow_needle(update(*sample))
         if was_taring and self.tared:
-            self._zero_watch.begin_tare()
             self._needle.begin_where_tared()
         return estimate
 
@@ -439,7 +435,7 @@ class InsertionSession:
         if identifier.is_save_due:
             identifier.save(needle.time_s)
         if wrench.status is Status.REJECTED:
-            return self._repeat_last(wrench)
+            return self._estimate(wrench, is_used=False)
         elapsed_s = sensor.elapsed_s
         is_spoilt = sensor.is_measuring_jump
         needle.advance(sensor.velocity_rad_s, elapsed_s, sensor.filter_lag_s)
@@ -505,15 +501,12 @@ class InsertionSession:
         """
         is_spoilt = is_spoilt or bool(wrench.warnings & PUSHED)
         self._identifier.skip(elapsed_s, self._needle.time_s, is_spoilt=is_spoilt)
-        return self._repeat_last(wrench)
-
-    def _repeat_last(self, wrench: WrenchEstimate) -> SessionEstimate:
-        """Return the estimate of a sample that is not used for identification."""
-        self._identifier.end_events()
         return self._estimate(wrench, is_used=False)
 
     def _estimate(self, wrench: WrenchEstimate, *, is_used: bool) -> SessionEstimate:
         """Put the estimate together, with the contact as known after this sample."""
+        if not is_used:
+            self._identifier.end_events()
         needle = self._needle
         plan = needle.plan
         entry_m = plan.entry_depth_m

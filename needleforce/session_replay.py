@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import repeat
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -115,21 +115,16 @@ def replay_session(
 ) -> Iterator[tuple[Array, SessionEstimate]]:
     """Run a session over a recording of joint signals, sample by sample.
 
-    The first sample has the time step of the second. Yields joint positions, shape
-    (n,), and what the session estimates.
+    Yields joint positions, shape (n,), and what the session estimates.
 
     Args:
         session: A session that has seen nothing.
-        log: The recording, with the channels ``q``, ``tau`` and perhaps ``dq``.
+        log: The recording, as for `replay_sensor`.
         tare: When it is tared; None for after 4 s of motion without contact.
     """
     if tare is None:
         tare = AutoTare(4.0, at_once=True)
-    steps_s = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1]).tolist()
-    velocities = log["dq_rad_s"] if "dq_rad_s" in log else repeat(None)
-    signals = zip(log["q_rad"], velocities, log["tau_Nm"], steps_s, strict=False)
-    for q_rad, dq_rad_s, tau_Nm, step_s in signals:
-        estimate = session.update(q_rad, dq_rad_s, tau_Nm, step_s)
+    for q_rad, estimate in zip(log["q_rad"], _updates(log, session), strict=True):
         tare.after(session, estimate)
         yield q_rad, estimate
 
@@ -200,17 +195,20 @@ def replay_sensor(
             "of free motion were seen, so it cannot be tared"
         )
     rejected["bad time stamp"] = log.left_out
-    rows = pd.DataFrame(numbers, columns=names)
-    rows.insert(0, "t_s", log.t_s)
     tool = ToolKinematics(robot, config.frame, config.insertion_axis)
-    rows.insert(1, "travel_m", travel_along_needle(tool, log["q_rad"]))
-    rows[["force_warnings", "force_status"]] = codes[:, :2]
-    rows["after_gap"] = codes[:, 2] > 0
+    columns = {
+        "t_s": log.t_s,
+        "travel_m": travel_along_needle(tool, log["q_rad"]),
+        **dict(zip(names, numbers.T, strict=True)),
+        "force_warnings": codes[:, 0],
+        "force_status": codes[:, 1],
+        "after_gap": codes[:, 2] > 0,
+    }
     return SensorReplay(
         log=log,
         robot=robot,
         config=config,
-        rows=rows,
+        rows=pd.DataFrame(columns),
         sensor=sensor,
         window=window,
         tare=tare,
@@ -220,20 +218,22 @@ def replay_sensor(
 
 
 def _updates(
-    log: Log, sensor: VirtualForceSensor, progress: Callable[[float], None]
-) -> Iterator[WrenchEstimate]:
-    """Yield what a sensor estimates with each row of a log."""
+    log: Log,
+    chain: VirtualForceSensor | InsertionSession,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Iterator[Any]:
+    """Yield what a sensor or a session estimates with each row of a log."""
     progress_rows = 2000  # rows between two calls of `progress`
     is_external = "tau_ext_Nm" in log
-    update = sensor.update_external_torque if is_external else sensor.update
+    update = chain.update_external_torque if is_external else chain.update
     torques_Nm = log["tau_ext_Nm" if is_external else "tau_Nm"]
     has_velocity = "dq_rad_s" in log and not is_external
     velocities = log["dq_rad_s"] if has_velocity else repeat(None)
     signals = zip(log["q_rad"], velocities, torques_Nm, log.dt_s.tolist(), strict=False)
-    for row, (q_rad, dq_rad_s, torque_Nm, step_s) in enumerate(signals):
+    for row, sample in enumerate(signals):
         if row % progress_rows == 0:
             progress(row / len(log))
-        yield update(q_rad, dq_rad_s, torque_Nm, step_s)
+        yield update(*sample)
 
 
 def _inside(window: TareWindow, t_s: Array) -> TareWindow:

@@ -7,6 +7,7 @@ import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compiled_inside
+from foundation.linear_algebra import multiply
 
 Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
 """Type of `residual.ToolKinematics.needle`: a plain tuple, for Python passes one to
@@ -114,11 +115,7 @@ def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
         needle: `residual.ToolKinematics.needle`.
         dq: Joint velocities [rad/s], shape (n,).
     """
-    jacobian = needle[2]
-    twist = np.zeros(6)
-    for j in range(len(dq)):
-        for k in range(6):
-            twist[k] += dq[j] * jacobian[j, k]
+    twist = multiply(dq.reshape(1, len(dq)), needle[2])[0]
     x, y, z = tip.position_m
     a, b, c = tip.direction
     speed = a * twist[0] + b * twist[1] + c * twist[2]

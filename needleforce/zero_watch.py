@@ -89,8 +89,7 @@ class ZeroWatch:
 
     def begin_tare(self) -> None:
         """Forget what free air has shown: the tare takes it out."""
-        known = self.air
-        self.air = AirWatch(jumps=known.jumps, jump_std_N=known.jump_std_N)
+        self.air = AirWatch(jumps=self.air.jumps, jump_std_N=self.air.jump_std_N)
 
     def begin_insertion(self) -> None:
         """Take all jumps so far for known: the identifier begins with this zero."""

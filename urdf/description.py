@@ -1,9 +1,10 @@
 """A URDF as a tree of links and joints, and what is checked before it is a model.
 
 The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when
-one number in it does not parse, and goes on with mass 0; the only sign is a line on
-stderr. So every number of an inertial is parsed here first, and the masses are added
-up. It knows no namespaces, and neither does the parser here: a prefix that nothing
+one number in it does not parse, and goes on with mass 0, or without inertia; the only
+sign is a line on stderr. So the masses are added up here, and inertia is looked at.
+
+It knows no namespaces, and neither does the parser here: a prefix that nothing
 declares, as in Fetch's old ``<sensor:camera>``, stops no file.
 """
 
@@ -42,7 +43,7 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     Shapes, materials and extensions are dropped, and so are the links ``without`` with
     all that they carry. The errors of this file are those of `urdf.load_urdf`.
     """
-    file = _parse(_read_text(path), path)
+    file = _parse(path)
     if file.tag != "robot" or any(part.tag.startswith("xacro:") for part in file):
         raise UrdfFileError(
             f"{path}: is <{file.tag}> or has xacro tags, expected <robot> with none",
@@ -63,8 +64,8 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     return root
 
 
-def _read_text(path: Path) -> str:
-    """Return the text of a file.
+def _parse(path: Path) -> Element:
+    """Return the tree of an XML file without entities of its own.
 
     Names in a URDF are ASCII; what is not UTF-8 are comments of an exporter, in the
     code page of its author's machine: they are not read.
@@ -72,19 +73,6 @@ def _read_text(path: Path) -> str:
     # The largest known description, with meshes' names and sensors of a humanoid, has
     # 0.5 MB.
     max_bytes = 1 << 23
-    try:
-        # Not a pipe, device or folder: reading those may never end.
-        if not path.is_file() or path.stat().st_size > max_bytes:
-            raise UrdfFileError(
-                f"{path}: is no file, or larger than {max_bytes} bytes", PLAIN_URDF
-            )
-        return path.read_bytes().decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise UrdfFileError(f"{path!s:.200}: cannot be read: {error}") from error
-
-
-def _parse(text: str, path: Path) -> Element:
-    """Return the tree of an XML text without entities of its own."""
 
     def refuse(*_: object) -> None:
         raise UrdfFileError(f"{path}: has a DOCTYPE, expected plain XML")
@@ -95,7 +83,14 @@ def _parse(text: str, path: Path) -> Element:
     parser.EndElementHandler = builder.end
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(text, True)
+        # Not a pipe, device or folder: reading those may never end.
+        if not path.is_file() or path.stat().st_size > max_bytes:
+            raise UrdfFileError(
+                f"{path}: is no file, or larger than {max_bytes} bytes", PLAIN_URDF
+            )
+        parser.Parse(path.read_bytes().decode("utf-8-sig", errors="replace"), True)
+    except OSError as error:
+        raise UrdfFileError(f"{path!s:.200}: cannot be read: {error}") from error
     except expat.ExpatError as error:
         raise UrdfFileError(f"{path}: is not well-formed XML: {error}") from error
     return builder.close()
@@ -103,23 +98,25 @@ def _parse(text: str, path: Path) -> Element:
 
 def _remove_links(root: Element, without: set[str], source: str) -> None:
     """Remove links, the joints they hang on and everything behind them."""
-    links = {link.get("name", ""): link for link in root.findall("link")}
-    if unknown := sorted(without - links.keys()):
+    links = [link.get("name", "") for link in root.findall("link")]
+    if unknown := sorted(without.difference(links)):
         raise UnknownNameError(
             f"{source}: cannot leave out {unknown}, there is no such link; links: "
             f"{', '.join(links)}"
         )
-    waiting = list(without)
-    while waiting:
-        parent = waiting.pop()
-        for joint in root.findall("joint"):
-            child = link_of(joint, "child")
-            if child == parent:
-                root.remove(joint)
-            elif link_of(joint, "parent") == parent:
-                waiting.append(child)
-        if links[parent] in list(root):
-            root.remove(links[parent])
+    removed = set(without)
+    for _ in links if without else ():  # no chain is longer
+        removed |= {
+            child_of(joint)
+            for joint in root.findall("joint")
+            if parent_of(joint) in removed
+        }
+    for joint in root.findall("joint"):
+        if child_of(joint) in removed:
+            root.remove(joint)
+    for link in root.findall("link"):
+        if link.get("name") in removed:
+            root.remove(link)
     if without and root.find("link") is None:
         raise InputError(f"{source}: cannot leave out {without}, the root of the robot")
 
@@ -128,19 +125,19 @@ def build_model(root: Element, source: str) -> pin.Model:
     """Return the Pinocchio model of a description, all of whose joints move.
 
     A continuous joint becomes a revolute one without limits: an angle, not a point on
-    the circle. The URDF reader (urdfdom) may still refuse it: `UrdfFileError`.
+    the circle. A link of mass 0 is no body, whatever its inertia. The URDF reader
+    (urdfdom) may still refuse the description: `UrdfFileError`.
     """
-    children = [link_of(joint, "child") for joint in root.findall("joint")]
+    children = [child_of(joint) for joint in root.findall("joint")]
     if twice := sorted({name for name in children if children.count(name) > 1}):
         raise UrdfFileError(  # of all that is no tree, its reader takes this alone
             f"{source}: is not a valid URDF: {', '.join(twice)} hang on two joints"
         )
-    for link in root.findall("link"):
-        _check_inertial(link, source)
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed":
             _complete_limits(joint)
     try:
+        written_kg = _prepare_inertials(root)
         model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise UrdfFileError(
@@ -151,66 +148,53 @@ def build_model(root: Element, source: str) -> pin.Model:
     has_no_room = model.lowerPositionLimit >= model.upperPositionLimit
     model.lowerPositionLimit[has_no_room] = -np.inf
     model.upperPositionLimit[has_no_room] = np.inf
-    masses = root.iterfind("link/inertial/mass[1]")
-    written_kg = sum(float(mass.attrib["value"]) for mass in masses)
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
-    if not abs(loaded_kg - written_kg) <= 1e-9 * abs(written_kg):
+    rounding = 1e-12  # relative, of sums of some hundred masses
+    if not np.isclose(loaded_kg, written_kg, rtol=rounding, atol=0.0):
         raise UrdfFileError(
             f"{source}: the masses in the file add up to {written_kg:g} kg, those of "
-            f"the loaded model to {loaded_kg:g} kg; its reader has dropped an "
-            "<inertial>, see stderr"
+            f"the loaded model to {loaded_kg:g} kg: its reader drops an <inertial> of "
+            "which it cannot read a number, and names link and number on stderr",
+            "Write digits with a decimal point: no commas, formulas or units.",
         )
     return model
 
 
-def link_of(joint: Element, end: str) -> str:
-    """Return the name of a joint's link at the end ``parent`` or ``child``."""
-    element = joint.find(end)
-    return "" if element is None else element.get("link", "")
-
-
-def read_numbers(
-    element: Element, tag: str, key: str, owner: str, count: int = 1
-) -> list[float]:
-    """Return the finite numbers of an attribute of a child of an element.
+def _prepare_inertials(root: Element) -> float:
+    """Remove the inertials of links of mass 0, and return the mass of the others [kg].
 
     Raises:
-        UrdfFileError: It is missing, or not so many numbers.
+        ValueError: A number of an inertia that urdfdom does not read: it would load the
+            mass without it.
     """
-    child = element.find(tag)
-    text = "" if child is None else child.get(key, "")
-    # What urdfdom reads as a number: no nan, inf, hexadecimal, comma or _.
-    number = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-    words = text.split() if count > 1 else [text.lstrip()]
-    numbers = [float(word) for word in words if number.fullmatch(word)]
-    if len(numbers) != count or len(words) != count or not np.isfinite(numbers).all():
-        raise UrdfFileError(
-            f'{owner}: <{element.tag}> <{tag} {key}="{text}"> has to be {count} '
-            "numbers with blanks between them; the URDF reader would drop it",
-            "Write digits with a decimal point: no commas, formulas or units.",
-        )
-    return numbers
+    number = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d\d?)?", re.ASCII)
+    moments = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    written_kg = 0.0
+    for link in root.findall("link[inertial]"):
+        words = [read_attribute(link, "inertial/inertia", key) for key in moments]
+        if not all(map(number.fullmatch, words)):
+            raise ValueError(f"link {link.get('name')!r} has the inertia {words}")
+        mass_kg = float(read_attribute(link, "inertial/mass", "value"))
+        written_kg += mass_kg
+        if mass_kg == 0.0:
+            del link[:]
+    return written_kg
 
 
-def _check_inertial(link: Element, source: str) -> None:
-    """Parse all numbers of a link's inertial; remove it where the mass is 0: no body.
+def read_attribute(element: Element, path: str, key: str) -> str:
+    """Return an attribute of the first element at a path; empty without one."""
+    found = element.find(path)
+    return "" if found is None else found.get(key, "")
 
-    Raises:
-        UrdfFileError: One that urdfdom would not read.
-    """
-    inertial = link.find("inertial")
-    if inertial is None:
-        return
-    owner = f"{source}: link {link.get('name')!r}"
-    mass_kg = read_numbers(inertial, "mass", "value", owner)
-    for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-        read_numbers(inertial, "inertia", key, owner)
-    origin = inertial.find("origin")
-    written = () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)
-    for key in written:
-        read_numbers(inertial, "origin", key, owner, count=3)
-    if mass_kg == [0.0]:
-        link.remove(inertial)
+
+def parent_of(joint: Element) -> str:
+    """Return the name of the link that carries a joint."""
+    return read_attribute(joint, "parent", "link")
+
+
+def child_of(joint: Element) -> str:
+    """Return the name of the link that a joint moves."""
+    return read_attribute(joint, "child", "link")
 
 
 def _complete_limits(joint: Element) -> None:

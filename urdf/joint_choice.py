@@ -4,10 +4,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-import numpy as np
 import pinocchio as pin
 
-from urdf.description import build_model, link_of, read_description
+from urdf.description import build_model, parent_of, read_attribute, read_description
 from urdf.errors import (
     KEEP_JOINTS,
     InputError,
@@ -119,16 +118,15 @@ def lock_joints(
 def _reduce(model: pin.Model, positions: Mapping[str, float]) -> pin.Model:
     """Return a model whose joints with a position stand there."""
     indices = [model.getJointId(name) for name in positions]
-    displacement = np.zeros(model.nv)
+    locked_at = pin.neutral(model)
     for index, position in zip(indices, positions.values(), strict=True):
-        displacement[model.joints[index].idx_v] = position
+        locked_at[model.joints[index].idx_q] = position
     # Pinocchio finds no frame here whose name a joint and a link share. Both are the
     # same frame; the link keeps the name.
     links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
     for frame in model.frames:
         if frame.type != pin.FrameType.BODY and frame.name in links:
             frame.name += " (joint)"
-    locked_at = pin.integrate(model, pin.neutral(model), displacement)
     return pin.buildReducedModel(model, indices, locked_at)
 
 
@@ -138,14 +136,12 @@ def _follow(
     """Return the positions of those joints that mimic one with a position."""
     followed: dict[str, float] = {}
     for name, joint in followers.items():
-        mimic = joint.find("mimic")
-        leader = "" if mimic is None else mimic.get("joint", "")
-        if mimic is not None and leader in positions:
+        leader = read_attribute(joint, "mimic", "joint")
+        if leader in positions:
             # Numbers, or the reader of the URDF would have refused the file.
-            factor = float(mimic.get("multiplier", "1"))
-            followed[name] = factor * positions[leader] + float(
-                mimic.get("offset", "0")
-            )
+            factor = float(read_attribute(joint, "mimic", "multiplier") or "1")
+            offset = float(read_attribute(joint, "mimic", "offset") or "0")
+            followed[name] = factor * positions[leader] + offset
     return followed
 
 
@@ -155,7 +151,7 @@ def last_link(root: Element, model: pin.Model, source: str) -> str:
     Of several, the message lists those that about as many joints move as any: not the
     sensors of a base.
     """
-    parents = {link_of(joint, "parent") for joint in root.findall("joint")}
+    parents = {parent_of(joint) for joint in root.findall("joint")}
     counts = {
         frame.name: len(model.supports[frame.parentJoint]) - 1
         for frame in model.frames

@@ -23,7 +23,6 @@ from foundation.arrays import (
     WrittenVector,
 )
 from foundation.jit import compiled
-from foundation.linear_algebra import order_statistic
 from identification.mixture.disturbances import (
     BREATHING_DAMPING,
     BREATHING_HZ,
@@ -346,7 +345,8 @@ def difference_variance(squares: Matrix, counts: Vector, k: int) -> float:
     """
     size = min(int(counts[k]), squares.shape[1])
     # The median of a squared standard normal is 0.455.
-    return order_statistic(squares[k, :size], size // 2) / 0.455
+    middle = size // 2
+    return np.partition(squares[k, :size], middle)[middle] / 0.455
 
 
 @compiled

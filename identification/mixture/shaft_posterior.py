@@ -10,7 +10,7 @@ import numpy as np
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled, compiled_inside
-from foundation.linear_algebra import add_up, dot, index_of_largest
+from foundation.linear_algebra import dot, index_of_largest
 from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.events import Gaussian
 from identification.mixture.evidence import Evidence
@@ -170,9 +170,9 @@ def leave_out_unlikely(
     They are normalised; what they are for, see `mix_components`.
     """
     min_weight = 1e-3
-    means = np.where(trusted > min_weight * add_up(trusted), trusted, 0.0)
+    means = np.where(trusted > min_weight * trusted.sum(), trusted, 0.0)
     spreads = np.where((weights > min_weight) | (means > 0.0), weights, 0.0)
-    return means / add_up(means), spreads / add_up(spreads)
+    return means / means.sum(), spreads / spreads.sum()
 
 
 @compiled_inside
@@ -347,7 +347,7 @@ def update_posterior(
     """
     posterior = posteriors[0]
     trusted = trust_components(evidence, block, reported)
-    if add_up(trusted) <= 1e-6:  # too little for a mean to rest on
+    if trusted.sum() <= 1e-6:  # too little for a mean to rest on
         trusted = evidence.weights
     shaft = mix_components(posterior, evidence, trusted, block, reported)
     posterior.layer = traversed + 1 if posterior.in_contact else 0

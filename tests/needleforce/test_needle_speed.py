@@ -70,7 +70,7 @@ def test_the_warning_says_how_fast_a_needle_may_be_where_the_lag_is_known():
     still = np.zeros(robot.nv)
     needle = session._needle
     session.update(still, None, still, 1e-3)
-    needle.insertion = needle.insertion._replace(is_too_fast=True)
+    needle.insertion.is_too_fast = True
 
     own = session.update(still, None, still, 1e-3).wrench
     # The robot's own estimate of the torques: how late it is, nobody has said.

@@ -274,6 +274,7 @@ def test_a_tool_is_placed_anywhere_on_a_link_and_carries_the_needle(
         ),
         (ORIGIN, '<origin rpy="0 0 pi/2"/>'),
         (MASS, "<mass/>"),
+        (MASS, ""),
         (INERTIA, "<inertia/>"),
     ],
 )
@@ -281,14 +282,8 @@ def test_a_tool_is_placed_anywhere_on_a_link_and_carries_the_needle(
 def test_inertials_the_reader_would_drop_are_refused(arm, old, new, check):
     """urdfdom gives such a link no inertia at all and goes on; only stderr knows."""
     path = arm(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE[1])
-    with pytest.raises(UrdfFileError, match="link 'a'"):
+    with pytest.raises(UrdfFileError, match="stderr"):
         load_urdf(path, check_inertias=check)
-
-
-def test_a_reader_that_drops_an_inertial_all_the_same_is_noticed(arm, monkeypatch):
-    monkeypatch.setattr(description, "read_numbers", lambda *_, count=1: [1.0] * count)
-    with pytest.raises(UrdfFileError, match="0 kg"):
-        load_urdf(arm(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE[1]))
 
 
 @pytest.mark.parametrize("text", [" 1", "+1.0E0", "1."])

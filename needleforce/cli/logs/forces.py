@@ -18,7 +18,6 @@ from needleforce.cli.logs.result import Result
 from needleforce.cli.options import JointColumns, RobotOptions, SensorOptions
 from needleforce.cli.robot import sensor_config, with_friction
 from needleforce.cli.terminal import CHOOSE_TARE, CommandError, progress_bar, warn
-from needleforce.depth_zero import FIRST_ROW
 from needleforce.session_replay import (
     STATUS_CODES,
     SensorReplay,
@@ -129,7 +128,8 @@ def describe_forces(replay: SensorReplay) -> dict[str, str]:
         "torque": _describe_torques(replay),
         "axial force": _describe_axial_force(replay),
         "force sensor": _compare_with_sensor(replay),
-        "travel": f"counts {FIRST_ROW}; identify and report count below first contact",
+        "travel": "counts from the first row; identify and report count below first "
+        "contact",
         "lag": lag,
     }
     return {label: text for label, text in facts.items() if text}
