@@ -17,7 +17,7 @@ from benchmarks.insertion.robustness import SCENARIOS as ROBUST
 from benchmarks.jobs import NEEDLE, Job
 from benchmarks.judging import TISSUE
 from groundtruth import PLANT_MODELS, SCENARIOS
-from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
+from groundtruth.scenarios import DRAWN, DRAWN_TISSUE
 
 PLANTS = (*PLANT_MODELS, NEEDLE)
 PERTURBED_PLANTS = (*PERTURBATIONS, MIXED)
@@ -60,7 +60,7 @@ def simulated_benchmarks() -> Iterator[tuple[str, Benchmark]]:
                 title=item.title, module=simulated, group="insertion", possible=possible
             ),
         )
-    for name in (RANDOM_STACK, RANDOM_TISSUE):
+    for name in DRAWN:
         yield (
             name,
             Benchmark(
@@ -71,6 +71,15 @@ def simulated_benchmarks() -> Iterator[tuple[str, Benchmark]]:
                 possible=PLANTS,
             ),
         )
+    yield (
+        PERTURBED + DRAWN_TISSUE,
+        Benchmark(
+            title="stiffness, cutting force and friction drawn for every seed",
+            module="benchmarks.insertion.robustness",
+            group="drawn",
+            plants=("none", "fri", "fri-at-20", "stick-slip"),
+        ),
+    )
     for name in (*ROBUST, MIXED):
         yield (
             PERTURBED + name,

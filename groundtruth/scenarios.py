@@ -294,11 +294,52 @@ def random_tissue(rng: np.random.Generator) -> Scenario:
     return replace(stack, id=RANDOM_TISSUE, title=title, layers=layers)
 
 
+def drawn_tissue(rng: np.random.Generator) -> Scenario:
+    """Draw one to three layers, every property by itself, pushed through at 5 mm/s.
+
+    `random_stack` draws the force at the end of a layer, and what fraction of it cuts.
+    Here stiffness and cutting force are drawn, and the force at the end follows, so
+    behind a rupture the tip goes on against the cutting force of what comes next.
+    Friction and membranes are drawn as there: 4 to 40 N/m (a phantom's fat; gels, Ferro
+    et al., Table I; human liver, de Jong 2017), rupture at 0.4 to 2 N (a phantom's
+    skin; latex; capsule of bovine liver, Okamura, Simone, O'Leary 2004) after 0.1 to
+    0.3 of the layer.
+
+    Stiffness: 5 to 50 N/m; the gels, from Fig. 8 of Ferro et al., have 10 to 39.
+    Cutting force: 0.1 to 0.9 N, chosen: the identifier's prior has no source for it.
+    """
+    speed_m_s = 5e-3  # of the recordings in liver
+    count = int(rng.integers(1, 4))
+    layers = []
+    for number in range(1, count + 1):
+        layer = _layer(rng, f"layer {number}", rng.uniform(15e-3, 30e-3), speed_m_s)
+        cutting_N = _log_uniform(rng, 0.1, 0.9)
+        cut_m = layer.thickness_m - layer.entry_m
+        exit_N = cutting_N + _log_uniform(rng, 5.0, 50.0) * cut_m
+        fraction = cutting_N / exit_N
+        layers.append(replace(layer, exit_force_N=exit_N, cutting_fraction=fraction))
+    depth_m = sum(layer.thickness_m for layer in layers) + 12e-3
+    return Scenario(
+        id=DRAWN_TISSUE,
+        title=f"{count} layers of drawn stiffness, cutting force and friction, 5 mm/s",
+        layers=tuple(layers),
+        motion=constant_motion(
+            speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=CONSTANT_STANDOFF_M
+        ),
+    )
+
+
 RANDOM_STACK = "random-stack"
 """The id of every drawn scenario under the catalogue's law."""
 RANDOM_TISSUE = "random-tissue"
 """The id of those whose layers draw their law too."""
-DRAWN = {RANDOM_STACK: random_stack, RANDOM_TISSUE: random_tissue}
+DRAWN_TISSUE = "drawn-tissue"
+"""The id of those whose properties are drawn each by itself."""
+DRAWN = {
+    RANDOM_STACK: random_stack,
+    RANDOM_TISSUE: random_tissue,
+    DRAWN_TISSUE: drawn_tissue,
+}
 """What draws a scenario, by its id."""
 
 

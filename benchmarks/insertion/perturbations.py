@@ -263,8 +263,8 @@ PERTURBATIONS: Mapping[str, Perturbation] = {
     name: each for group in GROUPS.values() for name, each in group.items()
 }
 """By name, in the order of the table."""
-FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
-"""Of these the virtual force feels nothing."""
+FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only", "stick-slip"))
+"""Of these the virtual force feels nothing, or too little to be judged by it."""
 MIXED = "mixed"
 PERTURBED = "robustness-"
 """The names of benchmarks in perturbed worlds begin so."""
