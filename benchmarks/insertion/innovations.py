@@ -79,8 +79,8 @@ def measure_whiteness(times_s: Array, scores: Array) -> dict[str, float]:
         later = np.minimum(later, len(times_s) - 1)
         is_pair = np.abs(times_s[later] - sought_s) < 5e-3
         products = centred * centred[later]
-        correlation = np.mean(products[is_pair]) / np.var(scores)
-        values[f"innovation_correlation_{lag_ms}ms"] = float(correlation)
+        name = f"innovation_correlation_{lag_ms}ms"
+        values[name] = np.mean(products[is_pair]) / np.var(scores)
     return values
 
 
