@@ -40,8 +40,8 @@ class JobResult(NamedTuple):
 
 def make_frame(rows: Sequence[tuple] = ()) -> pd.DataFrame:
     """Return rows as a frame with `COLUMNS`."""
-    frame = pd.DataFrame(rows, columns=list(COLUMNS))
-    return frame.astype({"seed": "int64", "value": "float64"})
+    types = {"seed": "int64", "value": "float64"}
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype(types)
 
 
 def run_job(job: Job) -> JobResult:
@@ -136,8 +136,7 @@ def run_jobs(
 def join_frames(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Return all rows, in an order that does not depend on who was first."""
     filled = [frame for frame in frames if len(frame)] or [make_frame()]
-    joined = pd.concat(filled, ignore_index=True)
-    return joined.sort_values(KEYS, ignore_index=True)
+    return pd.concat(filled).sort_values(KEYS, ignore_index=True)
 
 
 def write_results(path: Path, frames: Sequence[pd.DataFrame]) -> None:

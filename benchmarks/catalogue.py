@@ -17,7 +17,7 @@ from benchmarks.insertion.robustness import SCENARIOS as ROBUST
 from benchmarks.jobs import NEEDLE, Job
 from benchmarks.judging import TISSUE
 from groundtruth import PLANT_MODELS, SCENARIOS
-from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
+from groundtruth.scenarios import DRAWN
 
 PLANTS = (*PLANT_MODELS, NEEDLE)
 PERTURBED_PLANTS = (*PERTURBATIONS, MIXED)
@@ -60,7 +60,7 @@ def simulated_benchmarks() -> Iterator[tuple[str, Benchmark]]:
                 title=item.title, module=simulated, group="insertion", possible=possible
             ),
         )
-    for name in (RANDOM_STACK, RANDOM_TISSUE):
+    for name in DRAWN:
         yield (
             name,
             Benchmark(
@@ -95,28 +95,26 @@ BENCHMARKS: Mapping[str, Benchmark] = dict(
     [*simulated_benchmarks(), *read_benchmarks()]
 )
 """By name."""
-QUICK = (
-    "gel-25-sinusoidal",
-    "gel-70-constant",
-    "stack-sinusoidal",
-    "stack-glove-constant",
-    "liver-constant",
-    "abdomen-sinusoidal",
-)
-"""Run when nothing is named: under a minute."""
-PAPER = (
-    "gel-70-constant",
-    "gel-70-sinusoidal",
-    "stack-constant",
-    "stack-sinusoidal",
-    "stack-glove-constant",
-    "liver-constant",
-    "abdomen-sinusoidal",
-)
-"""What the figures of the paper need."""
 GROUPS: Mapping[str, Sequence[str]] = {
-    "quick": QUICK,
-    "paper": PAPER,
+    # Run when nothing is named: under a minute.
+    "quick": (
+        "gel-25-sinusoidal",
+        "gel-70-constant",
+        "stack-sinusoidal",
+        "stack-glove-constant",
+        "liver-constant",
+        "abdomen-sinusoidal",
+    ),
+    # What the figures of the paper need.
+    "paper": (
+        "gel-70-constant",
+        "gel-70-sinusoidal",
+        "stack-constant",
+        "stack-sinusoidal",
+        "stack-glove-constant",
+        "liver-constant",
+        "abdomen-sinusoidal",
+    ),
     "tissue": TISSUE,
 } | {
     group: tuple(name for name, item in BENCHMARKS.items() if item.group == group)
@@ -156,9 +154,9 @@ def make_jobs(
     if unknown := [name for name in names if name not in BENCHMARKS]:
         known = ", ".join((*GROUPS, *BENCHMARKS))
         raise BenchmarkError(f"no benchmark {unknown[0]!r}; choose from: {known}")
-    known_plants = {*PLANTS, *PERTURBED_PLANTS}
+    known_plants = (*PLANTS, *PERTURBED_PLANTS)
     if wrong := [plant for plant in plants if plant not in known_plants]:
-        known = ", ".join((*PLANTS, *PERTURBED_PLANTS))
+        known = ", ".join(known_plants)
         raise BenchmarkError(f"no plant {wrong[0]!r}; choose from: {known}")
     jobs = []
     for name in names:

@@ -4,7 +4,6 @@
 """
 
 import json
-import math
 from collections.abc import Callable
 from ctypes import CDLL
 from dataclasses import replace
@@ -185,8 +184,8 @@ def compare_figures(
     later = new[new["unit"] != absent]
     added = later[~later.index.isin(earlier.index)]
     kinds = pd.concat([earlier, added]).assign(undefined=False)
-    rounded = later["value"].map(round_figure)
-    return compare(earlier["value"], rounded, kinds).join(kinds["unit"])
+    measured = later["value"].map(round_figure)
+    return compare(earlier["value"], measured, kinds).join(kinds["unit"])
 
 
 def round_figure(value: float) -> float:
@@ -219,21 +218,21 @@ def describe_code() -> dict[str, str]:
 
 
 def write_headline(path: Path, figures: pd.DataFrame) -> None:
-    """Write figures to a file, one a line, so that a change of one is seen.
+    """Write figures to a file, a number a line, so that a change of one is seen.
 
     Raises:
         ResultsError: It cannot be written.
     """
     versions = describe_code()
-    head = {"schema": 1, "commit": versions.pop("commit"), "versions": versions}
-    lines = []
-    for row in figures.rename_axis("name").reset_index().to_dict("records"):
-        value = row["value"]
-        known = round_figure(value) if math.isfinite(value) else None
-        lines.append(json.dumps(row | {"value": known}, separators=(",", ":")))
-    body = ",\n  ".join(lines)
-    text = f'{json.dumps(head)[:-1]},\n "figures": [\n  {body}\n]}}\n'
+    rounded = figures["value"].map(round_figure).astype(object)
+    known = figures.assign(value=rounded.where(rounded.notna(), None))
+    content = {
+        "schema": 1,
+        "commit": versions.pop("commit"),
+        "versions": versions,
+        "figures": known.rename_axis("name").reset_index().to_dict("records"),
+    }
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(f"{json.dumps(content, indent=1)}\n", encoding="utf-8")
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}") from error

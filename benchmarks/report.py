@@ -163,8 +163,10 @@ def draw_identification(
     drawing, axes = open_drawing(5)
     by_method = {item.method: item for item in items}
     ours = by_method["ours"]
-    theirs = by_method["published-as-authors-ran"]
-    drawn = {"published": (theirs, THEIRS), "ours": (ours, OURS)}
+    drawn = {
+        "published": (by_method["published-as-authors-ran"], THEIRS),
+        "ours": (ours, OURS),
+    }
     if source == "ft" and published_number(source, job.benchmark):
         kelvin_voigt = identify_as_run(
             ours.signal, truth, commanded_m_s, config=PUBLISHED_KV

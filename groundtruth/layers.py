@@ -55,6 +55,45 @@ class Texture:
         return self.std_N * math.sqrt(2.0 / len(self.waves)) * total
 
 
+@dataclass(frozen=True, slots=True)
+class StickSlip:
+    """Stick and slip of the cut at the tip: a saw of force along the layer.
+
+    The edge sticks while the tissue in front of it is stretched: the force rises in
+    proportion to the travel. Then the cut slips on, and that force is gone.
+
+    Attributes:
+        places_m: Depths into the layer at which the slope changes, ascending.
+        forces_N: Force there beyond that of a layer which is cut evenly.
+    """
+
+    places_m: tuple[float, ...]
+    forces_N: tuple[float, ...]
+
+    @classmethod
+    def drawn(cls, largest_N: float, length_m: float, rng: np.random.Generator) -> Self:
+        """Draw the slips on a length.
+
+        Every 0.3 to 2 mm of travel, by a third of the largest to the largest; the last
+        one ends before the length does. A slip itself takes 0.02 mm: chosen, a sixtieth
+        of a needle's diameter.
+        """
+        slip_m = 0.02e-3
+        count = math.ceil(length_m / 0.3e-3)
+        ends_m = np.cumsum(rng.uniform(0.3e-3, 2e-3, count))
+        drops_N = rng.uniform(largest_N / 3.0, largest_N, count)
+        places_m = [0.0]
+        forces_N = [0.0]
+        for end_m, drop_N in zip(ends_m[ends_m < length_m], drops_N, strict=False):
+            places_m += [end_m - slip_m, end_m]
+            forces_N += [drop_N, 0.0]
+        return cls(tuple(places_m), tuple(forces_N))
+
+    def force_N(self, penetration_m: float) -> float:
+        """Return the force at a depth into the layer, zero behind the last slip."""
+        return float(np.interp(penetration_m, self.places_m, self.forces_N))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Membrane:
     """A membrane on top of a layer: a spring up to its puncture.
@@ -207,6 +246,7 @@ class Layer:
         kept_fraction: Fraction of the tip force that stays when the needle leaves for a
             next layer.
         texture: Unevenness of the tip force, faded over a cutting onset at both ends.
+        slips: Stick and slip of the cut, where the tip came in through a rupture.
     """
 
     name: str
@@ -221,6 +261,7 @@ class Layer:
     tip_exponent: float = 1.0
     kept_fraction: float = 0.0
     texture: Texture | None = None
+    slips: StickSlip | None = None
 
     def __post_init__(self) -> None:
         require_positive(

@@ -38,20 +38,11 @@ GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the aut
 GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 """At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig.
 8."""
-GEL_COULOMB_FRACTION = 0.4
-# A fraction of a needle diameter: gel sticks little to a wet shaft.
-GEL_PRESLIDING_M = 0.2e-3
-GEL_RELAXED_FRACTION = 0.2
-CUTTING_FRACTION = 0.1
-STIFFENING = 0.1
 
 # Median pull-out force per embedded length (de Jong 2017).
 LIVER_FRICTION_N_PER_M = 10.6
 # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s).
 ABDOMEN_SPEED_M_S = 6e-3
-TISSUE_COULOMB_FRACTION = 0.8
-TISSUE_PRESLIDING_M = 0.9e-3
-TISSUE_RELAXED_FRACTION = 0.55
 
 
 def _layer(
@@ -62,41 +53,40 @@ def _layer(
     **others: Any,
 ) -> Layer:
     """Return a layer of organic tissue, but for what ``others`` change."""
-    # Fibrous tissue ruptures more gradually than gel
-    tissue_release_m = 0.5e-3
-    others.setdefault("release_m", tissue_release_m)
-    others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
+    usual = {
+        "cutting_fraction": 0.1,
+        "stiffening": 0.1,
+        "release_m": 0.5e-3,  # fibrous tissue ruptures more gradually than gel
+        "relaxed_fraction": 0.55,
+    }
     return Layer(
         name=name,
         thickness_m=thickness_m,
         exit_force_N=exit_force_N,
-        cutting_fraction=CUTTING_FRACTION,
-        stiffening=STIFFENING,
         friction=friction,
-        **others,
+        **(usual | others),
     )
 
 
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
     """Return one of the paper's gels, of 25, 50 or 70 %."""
-    # Clean fracture of a brittle gel
-    gel_release_m = 0.3e-3
     thickness = GEL_THICKNESS_M[percent]
     friction = ShaftFriction.calibrated(
         force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent]
         * TABLE_I_SPEED_M_S
         / thickness,
         reference_speed_m_s=TABLE_I_SPEED_M_S,
-        coulomb_fraction=GEL_COULOMB_FRACTION,
-        presliding_m=GEL_PRESLIDING_M,
+        coulomb_fraction=0.4,
+        # A fraction of a needle diameter: gel sticks little to a wet shaft.
+        presliding_m=0.2e-3,
     )
     return _layer(
         f"gel {percent} %",
         thickness,
         GEL_TIP_FORCE_N[percent],
         friction,
-        release_m=gel_release_m,
-        relaxed_fraction=GEL_RELAXED_FRACTION,
+        release_m=0.3e-3,  # clean fracture of a brittle gel
+        relaxed_fraction=0.2,
         membrane=membrane,
     )
 
@@ -108,13 +98,11 @@ def soft_tissue_friction(
 
     At the nominal speed, the scenario's, the law of equation (3) shall agree.
     """
-    # Speed of the recordings the liver friction comes from
-    liver_speed_m_s = 5e-3
     measured = ShaftFriction.calibrated(
         force_N_per_m=force_N_per_m,
-        reference_speed_m_s=liver_speed_m_s,
-        coulomb_fraction=TISSUE_COULOMB_FRACTION,
-        presliding_m=TISSUE_PRESLIDING_M,
+        reference_speed_m_s=5e-3,
+        coulomb_fraction=0.8,
+        presliding_m=0.9e-3,
     )
     return replace(measured, reference_speed_m_s=nominal_speed_m_s)
 
@@ -129,13 +117,10 @@ BOVINE_CAPSULE = Membrane(
 """Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing
 afterwards."""
 
-PHANTOM_CAPSULE = Membrane(
+# Synthetic skin around the liver of an abdominal phantom: thinner than a real capsule.
+_PHANTOM_CAPSULE = Membrane(
     puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3
 )
-"""Synthetic skin around the liver of an abdominal phantom: thinner than a real
-capsule."""
-
-
 BOVINE_LIVER = _layer(
     "liver",
     32e-3,
@@ -153,6 +138,6 @@ ABDOMEN = (
     _layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S)),
     # Fibres grip the shaft about twice as hard as liver does.
     _layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S)),
-    _layer("liver", 40e-3, 1.1, _PHANTOM_LIVER, membrane=PHANTOM_CAPSULE),
+    _layer("liver", 40e-3, 1.1, _PHANTOM_LIVER, membrane=_PHANTOM_CAPSULE),
 )
 """Fat, muscle and liver of the abdominal phantom."""

@@ -153,15 +153,6 @@ class Scenario:
 
 
 CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
-# With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20.
-SINE_STANDOFF_M = 20e-3
-GEL_STROKE_M = 70e-3
-GEL_FREQUENCY_HZ = 0.016
-# The full gels are 98 mm together, more than the paper's 70 mm stroke.
-STACK_STROKE_M = 130e-3
-ABDOMEN_STROKE_M = 115e-3
-ABDOMEN_FREQUENCY_HZ = 0.02
-ABDOMEN_STANDOFF_M = 22e-3
 
 
 def _insertions(
@@ -180,8 +171,10 @@ def _insertions(
     )
     motions = {"constant": even}
     if stroke_m is not None:
+        # With a stroke of 70 mm the 70 % gel ruptures after 20.7 s; in the paper about
+        # 20.
         motions["sinusoidal"] = sinusoidal_motion(
-            stroke_m=stroke_m, frequency_hz=GEL_FREQUENCY_HZ, standoff_m=SINE_STANDOFF_M
+            stroke_m=stroke_m, frequency_hz=0.016, standoff_m=20e-3
         )
     for kind, motion in motions.items():
         line = f"{title}, {kind} speed"
@@ -189,31 +182,30 @@ def _insertions(
 
 
 def _catalogue() -> Iterator[Scenario]:
+    gel_stroke_m = 70e-3
+    # The full gels are 98 mm together, more than the paper's stroke for one.
+    stack_stroke_m = 130e-3
     # The paper's speed for the stack with the glove
     glove_speed_m_s = 3e-3
     for percent in (25, 50, 70):
         name = f"gel-{percent}"
         title = f"one {percent} % isinglass gel"
         yield from _insertions(
-            name, title, (gel(percent),), TABLE_I_SPEED_M_S, GEL_STROKE_M
+            name, title, (gel(percent),), TABLE_I_SPEED_M_S, gel_stroke_m
         )
     bare = (gel(25), gel(50), gel(70))
     gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
     glove = "three gels, latex glove around the middle one"
     # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
     yield from _insertions(
-        "stack", "three gels", bare, TABLE_I_SPEED_M_S, STACK_STROKE_M
+        "stack", "three gels", bare, TABLE_I_SPEED_M_S, stack_stroke_m
     )
     yield from _insertions(
-        "stack-glove", glove, gloved, glove_speed_m_s, STACK_STROKE_M
+        "stack-glove", glove, gloved, glove_speed_m_s, stack_stroke_m
     )
     liver = "bovine liver, capsule first"
     yield from _insertions("liver", liver, (BOVINE_LIVER,), TABLE_I_SPEED_M_S, None)
-    sine = sinusoidal_motion(
-        stroke_m=ABDOMEN_STROKE_M,
-        frequency_hz=ABDOMEN_FREQUENCY_HZ,
-        standoff_m=ABDOMEN_STANDOFF_M,
-    )
+    sine = sinusoidal_motion(stroke_m=115e-3, frequency_hz=0.02, standoff_m=22e-3)
     title = "abdominal phantom: fat, muscle, liver; sinusoidal speed"
     yield Scenario(id="abdomen-sinusoidal", title=title, layers=ABDOMEN, motion=sine)
     yield Scenario(
@@ -229,18 +221,13 @@ SCENARIOS = {
     item.id: item for item in _catalogue()
 }  # Each of them under its permanent name
 
-# The id of every drawn scenario under the catalogue's law.
-RANDOM_STACK = "random-stack"
-RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
-DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
-
 
 def scenario(name: str, seed: int = 0) -> Scenario:
     """Return a catalogued scenario, or one drawn from the seed.
 
     Args:
-        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+``
-            and one of `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
+        name: As catalogued, or one of `DRAWN`; followed by ``+`` and one of
+            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
         seed: Of what is drawn.
 
     Raises:
@@ -248,14 +235,13 @@ def scenario(name: str, seed: int = 0) -> Scenario:
     """
     base, plus, change = name.partition("+")
     if base in DRAWN:
-        draw = random_stack if base == RANDOM_STACK else random_tissue
-        chosen = draw(np.random.default_rng(seed))
+        chosen = DRAWN[base](np.random.default_rng(seed))
     elif base in SCENARIOS:
         chosen = SCENARIOS[base]
     else:
         known = ", ".join((*SCENARIOS, *DRAWN))
         raise ScenarioError(
-            f"no scenario {base!r}; known: {known} (two drawn from a seed)"
+            f"no scenario {base!r}; known: {known} (the last are drawn from a seed)"
         )
     if not plus:
         return chosen
@@ -265,24 +251,6 @@ def scenario(name: str, seed: int = 0) -> Scenario:
     return replace(varied, id=name, title=f"{chosen.title}, {change}")
 
 
-# Ranges of the random scenarios.
-
-LAYERS = (1, 4)
-# From muscle over a rib to a slice of liver; gels are 28-38 mm.
-THICKNESS_M = (10e-3, 40e-3)
-# At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18.
-FRICTION_N_PER_M = (4.0, 40.0)
-CUTTING_FRACTION = (0.0, 0.2)
-STIFFENING = (0.0, 0.3)
-RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
-MEMBRANE_CHANCE = 0.25
-# Of the thickness: the bovine capsule's is 11 mm on 32.
-INDENTATION_FRACTION = (0.1, 0.3)
-HARDENING = (0.3, 1.0)
-SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
-RANDOM_BEYOND_M = (11e-3, 16e-3)
-
-
 def random_stack(rng: np.random.Generator) -> Scenario:
     """Draw one to four layers and a speed profile.
 
@@ -290,22 +258,21 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     """
     # With the stretch beyond and the standoff, still short of the 153 mm needle.
     max_total_m = 110e-3
-    # Of a sinusoid: gels 3.5, abdomen 7.2 mm/s
-    peak_speed_m_s = (3e-3, 8e-3)
-    # Of a sinusoid: deep enough in the stroke for contact at speed.
-    random_standoff_m = (12e-3, 22e-3)
-    count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
+    count = int(rng.integers(1, 5))
     sine = bool(rng.random() < 0.5)
-    speed = rng.uniform(*(peak_speed_m_s if sine else SPEED_M_S))
-    thickness = rng.uniform(*THICKNESS_M, size=count)
+    # The peak of a sinusoid: gels 3.5, abdomen 7.2 mm/s. A constant speed: the paper
+    # 2.3 and 3 mm/s, real liver 5 mm/s.
+    speed = rng.uniform(3e-3, 8e-3) if sine else rng.uniform(2e-3, 6e-3)
+    # From muscle over a rib to a slice of liver; gels are 28-38 mm.
+    thickness = rng.uniform(10e-3, 40e-3, size=count)
     thickness *= min(1.0, max_total_m / thickness.sum())
     layers = tuple(
         _layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1)
     )
-    kind = "sinusoidal" if sine else "constant"
-    depth = float(thickness.sum()) + rng.uniform(*RANDOM_BEYOND_M)
+    depth = float(thickness.sum()) + rng.uniform(11e-3, 16e-3)
     if sine:
-        standoff = rng.uniform(*random_standoff_m)
+        # Deep enough in the stroke for contact at speed.
+        standoff = rng.uniform(12e-3, 22e-3)
         stroke = depth + standoff
         motion = sinusoidal_motion(
             stroke_m=stroke, frequency_hz=speed / (np.pi * stroke), standoff_m=standoff
@@ -314,6 +281,7 @@ def random_stack(rng: np.random.Generator) -> Scenario:
         motion = constant_motion(
             speed_m_s=speed, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M
         )
+    kind = "sinusoidal" if sine else "constant"
     title = f"{count} random layers, {kind} speed up to {speed * 1e3:.1f} mm/s"
     return Scenario(id=RANDOM_STACK, title=title, layers=layers, motion=motion)
 
@@ -326,52 +294,94 @@ def random_tissue(rng: np.random.Generator) -> Scenario:
     return replace(stack, id=RANDOM_TISSUE, title=title, layers=layers)
 
 
-def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+def drawn_tissue(rng: np.random.Generator) -> Scenario:
+    """Draw one to three layers, every property by itself, pushed through at 5 mm/s.
+
+    `random_stack` draws the force at the end of a layer, and what fraction of it cuts.
+    Here stiffness and cutting force are drawn, and the force at the end follows, so
+    behind a rupture the tip goes on against the cutting force of what comes next.
+    Friction and membranes are drawn as there: 4 to 40 N/m (a phantom's fat; gels, Ferro
+    et al., Table I; human liver, de Jong 2017), rupture at 0.4 to 2 N (a phantom's
+    skin; latex; capsule of bovine liver, Okamura, Simone, O'Leary 2004) after 0.1 to
+    0.3 of the layer.
+
+    Stiffness: 5 to 50 N/m; the gels, from Fig. 8 of Ferro et al., have 10 to 39.
+    Cutting force: 0.1 to 0.9 N, chosen: the identifier's prior has no source for it.
+    """
+    speed_m_s = 5e-3  # of the recordings in liver
+    count = int(rng.integers(1, 4))
+    layers = []
+    for number in range(1, count + 1):
+        layer = _layer(rng, f"layer {number}", rng.uniform(15e-3, 30e-3), speed_m_s)
+        cutting_N = _log_uniform(rng, 0.1, 0.9)
+        cut_m = layer.thickness_m - layer.entry_m
+        exit_N = cutting_N + _log_uniform(rng, 5.0, 50.0) * cut_m
+        fraction = cutting_N / exit_N
+        layers.append(replace(layer, exit_force_N=exit_N, cutting_fraction=fraction))
+    depth_m = sum(layer.thickness_m for layer in layers) + 12e-3
+    return Scenario(
+        id=DRAWN_TISSUE,
+        title=f"{count} layers of drawn stiffness, cutting force and friction, 5 mm/s",
+        layers=tuple(layers),
+        motion=constant_motion(
+            speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=CONSTANT_STANDOFF_M
+        ),
+    )
+
+
+RANDOM_STACK = "random-stack"
+"""The id of every drawn scenario under the catalogue's law."""
+RANDOM_TISSUE = "random-tissue"
+"""The id of those whose layers draw their law too."""
+DRAWN_TISSUE = "drawn-tissue"
+"""The id of those whose properties are drawn each by itself."""
+DRAWN = {
+    RANDOM_STACK: random_stack,
+    RANDOM_TISSUE: random_tissue,
+    DRAWN_TISSUE: drawn_tissue,
+}
+"""What draws a scenario, by its id."""
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     """Draw a quantity of scale: equal chance per octave."""
-    return float(np.exp(rng.uniform(*np.log(limits))))
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _layer(
     rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float
 ) -> Layer:
-    # Gels 0.4, liver 0.8
-    coulomb_fraction = (0.2, 0.8)
-    # Gels 0.2, liver 0.9 mm
-    presliding_m = (0.1e-3, 0.9e-3)
-    # Gels 0.2, liver 0.55
-    relaxed_fraction = (0.1, 0.6)
-    # Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop
-    # 0.15-1.4 N.
-    exit_force_N = (0.15, 2.0)
+    """Draw a layer of a random stack, with what its nominal speed makes of friction."""
     # Arguments are drawn in this order: another order gives other scenarios for the
     # same seed.
     friction = ShaftFriction.calibrated(
-        force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
+        # Phantom fat 4, gels 9-38, real liver 6.5-18.
+        force_N_per_m=_log_uniform(rng, 4.0, 40.0),
         reference_speed_m_s=speed_m_s,
-        coulomb_fraction=rng.uniform(*coulomb_fraction),
-        presliding_m=rng.uniform(*presliding_m),
+        coulomb_fraction=rng.uniform(0.2, 0.8),  # gels 0.4, liver 0.8
+        presliding_m=rng.uniform(0.1e-3, 0.9e-3),  # gels 0.2, liver 0.9 mm
     )
     return Layer(
-        exit_force_N=_log_uniform(rng, exit_force_N),
+        # At the end of gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N.
+        exit_force_N=_log_uniform(rng, 0.15, 2.0),
         name=name,
         thickness_m=thickness_m,
-        cutting_fraction=rng.uniform(*CUTTING_FRACTION),
-        stiffening=rng.uniform(*STIFFENING),
-        release_m=rng.uniform(*RELEASE_M),
-        relaxed_fraction=rng.uniform(*relaxed_fraction),
+        cutting_fraction=rng.uniform(0.0, 0.2),
+        stiffening=rng.uniform(0.0, 0.3),
+        release_m=rng.uniform(0.1e-3, 0.5e-3),  # in gels and most tissues
+        relaxed_fraction=rng.uniform(0.1, 0.6),  # gels 0.2, liver 0.55
         friction=friction,
-        membrane=_membrane(rng, thickness_m),
+        membrane=_membrane(rng, thickness_m) if rng.random() < 0.25 else None,
     )
 
 
-def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane | None:
-    # Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
-    puncture_N = (0.4, 2.0)
-    if rng.random() >= MEMBRANE_CHANCE:
-        return None
+def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane:
+    """Draw the membrane of a layer."""
     return Membrane(
-        puncture_N=_log_uniform(rng, puncture_N),
-        indentation_m=rng.uniform(*INDENTATION_FRACTION) * thickness_m,
-        hardening=rng.uniform(*HARDENING),
-        release_m=rng.uniform(*RELEASE_M),
+        # Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
+        puncture_N=_log_uniform(rng, 0.4, 2.0),
+        # The bovine capsule's is 11 mm on 32.
+        indentation_m=rng.uniform(0.1, 0.3) * thickness_m,
+        hardening=rng.uniform(0.3, 1.0),
+        release_m=rng.uniform(0.1e-3, 0.5e-3),
     )

@@ -198,8 +198,14 @@ class Tissue:
             behind = boundaries[ruptured - 1]
             force = behind.held(deepest) * behind.drop_N
             if ruptured < len(boundaries):
-                front = min(deepest, boundaries[ruptured].depth_m)
-                force += self.layers[ruptured - 1].tip_force_N(front - behind.onset_m)
+                penetration_m = (
+                    min(deepest, boundaries[ruptured].depth_m) - behind.onset_m
+                )
+                layer = self.layers[ruptured - 1]
+                force += layer.tip_force_N(penetration_m)
+                # A bare surface does not rupture.
+                if layer.slips is not None and behind.drop_N > 0.0:
+                    force += layer.slips.force_N(penetration_m)
             force *= (1.0 - back) ** 2
         if ruptured < len(boundaries):
             membrane = boundaries[ruptured].membrane

@@ -8,7 +8,7 @@ from typing import NamedTuple, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.jobs import Figure, Job
+from benchmarks.jobs import Figure, Job, make_figures
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.path_layers import UNLABELLED
@@ -22,8 +22,6 @@ TORSOS = 5
 PATHS = 200
 HALF_M = np.array([0.20, 0.145, 0.19])
 """Half the edges of the scan around the torso."""
-NORMAL_95 = 1.96
-"""Half the width of the 95 % interval of a normal deviate."""
 THICK_VOXELS = 1.5
 """Layers thinner than this may be missed."""
 
@@ -61,8 +59,7 @@ def run(job: Job) -> Iterator[Figure]:
                 measure_path(torso, labels, *random_path(torso, rng))
                 for _ in range(PATHS)
             ]
-        for metric, value in path_metrics(paths).items():
-            yield Figure(metric, value, name)
+        yield from make_figures(path_metrics(paths), name)
 
 
 def path_metrics(paths: Sequence[Measured]) -> dict[str, SupportsFloat]:
@@ -75,7 +72,8 @@ def path_metrics(paths: Sequence[Measured]) -> dict[str, SupportsFloat]:
         "path_sequence_right_pct": 100.0 * np.mean([path.is_right for path in paths]),
         "paths_with_gaps": sum(path.has_gaps for path in paths),
         "path_time_median_ms": 1e3 * np.median([path.seconds for path in paths]),
-        "path_within_95_interval_pct": 100.0 * np.mean(scores < NORMAL_95),
+        # Half the width of the 95 % interval of a normal deviate is 1.96.
+        "path_within_95_interval_pct": 100.0 * np.mean(scores < 1.96),
         "path_within_one_sigma_pct": 100.0 * np.mean(scores < 1.0),
         "path_crossings_found_pct": 100.0 * len(errors) / crossings,
     }

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.anatomy import CT_FOLDER, draw_on, rms
-from benchmarks.jobs import Figure, Job
+from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
 from needleforce.anatomy import (
     RegistrationError,
@@ -34,9 +34,6 @@ LANDMARK_STD_m = 1.5e-3
 TOUCH_STD_m = 0.5e-3
 """Along each axis; both are stated to the registration."""
 
-USUAL_mm = 1.5
-"""By so much touches press the skin in where the case is another one."""
-
 
 class Case(NamedTuple):
     """What is simulated.
@@ -51,7 +48,7 @@ class Case(NamedTuple):
         is_along: The shift is one to the head, where the skin says least.
     """
 
-    pressed_mm: float = USUAL_mm
+    pressed_mm: float = 1.5
     slipped: float = 0.0
     radius_m: float = 0.11
     shift_mm: float = 0.0
@@ -230,13 +227,17 @@ def run(job: Job) -> Iterator[Figure]:
             inside.append(fit.region_contains(body.target_m, drawn.truth_m))
     if name in MOVED:
         missed = len(inside) - sum(inside)
-        yield Figure("motion_found_pct", 100.0 * (1.0 - missed / count), name)
-        refused_pct = 100.0 * (1.0 - len(inside) / count)
-        yield Figure("motion_refused_pct", refused_pct, name)
-        return
-    yield Figure("patient_accepted_pct", 100.0 * len(inside) / count, name)
-    yield Figure("patient_region_coverage_95", float(np.mean(inside)), name)
-    error_rms_m = rms(errors_m)
-    yield Figure("patient_error_rms_mm", 1e3 * error_rms_m, name)
-    yield Figure("patient_stated_ratio", rms(stated_m) / error_rms_m, name)
-    yield Figure("patient_to_landmarks_ratio", error_rms_m / rms(alone_m), name)
+        values = {
+            "motion_found_pct": 100.0 * (1.0 - missed / count),
+            "motion_refused_pct": 100.0 * (1.0 - len(inside) / count),
+        }
+    else:
+        error_rms_m = rms(errors_m)
+        values = {
+            "patient_accepted_pct": 100.0 * len(inside) / count,
+            "patient_region_coverage_95": np.mean(inside),
+            "patient_error_rms_mm": 1e3 * error_rms_m,
+            "patient_stated_ratio": rms(stated_m) / error_rms_m,
+            "patient_to_landmarks_ratio": error_rms_m / rms(alone_m),
+        }
+    yield from make_figures(values, name)

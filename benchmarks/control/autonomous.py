@@ -19,8 +19,6 @@ from needleforce.control import InsertionPlan, SafetyLimits
 
 SOURCES: Mapping[str, Source] = {"virtual": "virtual", "F/T": "ft"}
 """In the results, by the sensor of a case."""
-RUPTURE_SPEEDS_MM_S = (2.3, 5.0, 10.0, 20.0)
-BONE_SPEEDS_MM_S = (5.0, 20.0)
 LOST = {
     "torques": "tau_Nm",
     "positions": "q_rad",
@@ -35,9 +33,9 @@ CASES = (
         f"{s} rupture {by} {v:g}"
         for s in SERVOS
         for by in SOURCES
-        for v in RUPTURE_SPEEDS_MM_S
+        for v in (2.3, 5.0, 10.0, 20.0)  # mm/s
     ),
-    *(f"{s} bone {v:g}" for s in SERVOS for v in BONE_SPEEDS_MM_S),
+    *(f"{s} bone {v:g}" for s in SERVOS for v in (5.0, 20.0)),
     *(f"{s} side" for s in SERVOS),
     *(f"{s} lost {what}" for s in SERVOS for what in LOST),
 )
@@ -76,23 +74,20 @@ def _rupture(
     yield Figure("refused_as_too_fast", is_refused, source)
     if is_refused:
         return
-    truth = rig.tissue_truth()
     ends = [
         rupture
-        for rupture in truth.ruptures
+        for rupture in rig.tissue_truth().ruptures
         if rupture.onset_s < (run.ended_s or np.inf)
     ]
     surplus = len(ends) - layer
-    is_passed = surplus > 0 or not run.ended_s
     yield Figure("stopped_without_rupture", surplus < 0, source)
-    yield Figure("rupture_passed_by", is_passed, source)
+    yield Figure("rupture_passed_by", surplus > 0 or not run.ended_s, source)
     if surplus == 0 and run.ended_s:
         start = round(1e3 * ends[-1].onset_s)
         depths_m = rig.depths_m[start:]
         travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-        stop_ms = 1e3 * run.ended_s - start
         yield Figure("travel_past_rupture_mm", travel_mm, source)
-        yield Figure("stop_after_rupture_ms", stop_ms, source)
+        yield Figure("stop_after_rupture_ms", 1e3 * run.ended_s - start, source)
 
 
 def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
@@ -103,8 +98,8 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     limit_N = 2.0
     run = Insertion(rig, plan, SafetyLimits(axial_N=limit_N))
     deepest_m = max(wall.penetration_m for _ in run)
-    over_N = wall.stiffness_N_per_m * max(deepest_m, 0.0) - limit_N
-    yield Figure("bone_force_excess_N", over_N)
+    pushed_N = wall.stiffness_N_per_m * max(deepest_m, 0.0)
+    yield Figure("bone_force_excess_N", pushed_N - limit_N)
 
 
 def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -125,8 +120,7 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         # Below 1 mm/s it counts as stopped: an arm with a soft servo goes on to settle.
         if abs(run.rig.truth.speed_m_s) > 1e-3:
             moving_s = run.rig.time_s
-    stop_ms = 1e3 * (moving_s - pushed_s[0])
-    yield Figure("stop_after_side_push_ms", stop_ms)
+    yield Figure("stop_after_side_push_ms", 1e3 * (moving_s - pushed_s[0]))
 
 
 def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -145,8 +139,7 @@ def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
             start = round(1e3 * run.rig.time_s)
             run.rig.lose(LOST[what], lost_s)
     depths_m = run.rig.depths_m[start : start + round(1e3 * lost_s)]
-    travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-    yield Figure("travel_in_loss_mm", travel_mm)
+    yield Figure("travel_in_loss_mm", 1e3 * (depths_m.max() - depths_m[0]))
 
 
 def _in_gel(

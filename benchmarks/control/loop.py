@@ -58,8 +58,7 @@ class Insertion:
         *,
         with_ft: bool = False,
     ) -> None:
-        session = InsertionSession(rig.robot, on_lwr(DEFAULT))
-        self._manager = Manager(session, limits)
+        self._manager = Manager(InsertionSession(rig.robot, on_lwr(DEFAULT)), limits)
         self._profile = InsertionProfile(plan)
         self._with_ft = with_ft
         self._free_N = list[float]()

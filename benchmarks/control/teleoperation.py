@@ -16,7 +16,7 @@ from benchmarks.control.hand_driven import (
     teleoperate,
 )
 from benchmarks.control.loop import SERVOS
-from benchmarks.jobs import Figure, Job
+from benchmarks.jobs import Figure, Job, make_figures
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Wall
@@ -73,9 +73,12 @@ def measure_feeling(driven: Teleinsertion) -> Iterator[Figure]:
     shown = min((item.shown_drop for item in membranes), default=0.0)
     raw = min((item.raw_drop for item in membranes), default=0.0)
     error_N = max((abs(item.error_N) for item in felt), default=np.nan)
-    yield Figure("master_slave_drift_mm", 1e3 * abs(driven.drift_m))
-    yield Figure("membrane_contrast_shown", shown)
-    yield Figure("membrane_contrast_raw", raw)
-    yield Figure("shown_force_error_N", error_N)
-    yield Figure("felt_rupture_recall", is_found.mean() if felt else 0.0)
-    yield Figure("felt_false_alarms", len(driven.alarms_s) - is_found.sum())
+    values = {
+        "master_slave_drift_mm": 1e3 * abs(driven.drift_m),
+        "membrane_contrast_shown": shown,
+        "membrane_contrast_raw": raw,
+        "shown_force_error_N": error_N,
+        "felt_rupture_recall": is_found.mean() if felt else 0.0,
+        "felt_false_alarms": len(driven.alarms_s) - is_found.sum(),
+    }
+    yield from make_figures(values)

@@ -98,8 +98,7 @@ def find_limit_s(run: Run, held: Run, rupture: Rupture, source: Source) -> float
     else:
         noise = (run.signals.tau_Nm - run.truth.tau_Nm)[air]
         response = (held.signals.tau_Nm - run.signals.tau_Nm)[heard]
-    signals = zip(noise.T, response.T, strict=True)
-    squares = np.sum([sum_evidence(*signal) for signal in signals], axis=0)
+    squares = np.sum([*map(sum_evidence, noise.T, response.T)], axis=0)
     is_heard = squares >= HEARD_SIGMAS**2
     after_s = run.truth.t_s[heard] - rupture.onset_s
     return float(after_s[is_heard][0]) if is_heard.any() else math.nan

@@ -158,9 +158,13 @@ def run_session(
                 was_refused = True
                 session.tare(ignore_contact=True)
         estimate = session.update(*sample)
-        motion = (estimate.depth_m, estimate.speed_m_s)
-        force_N = estimate.wrench.axial_unsmoothed
-        series[:, k] = *estimate.wrench[:2], *motion, force_N
+        wrench = estimate.wrench
+        series[:, k] = (
+            *wrench[:2],
+            estimate.depth_m,
+            estimate.speed_m_s,
+            wrench.axial_unsmoothed,
+        )
         if k >= tare:
             estimates.append(estimate.identification)
             warned.update(
@@ -223,9 +227,12 @@ def ft_force(run: Run) -> ForceReading:
     # inertia cancels from the mean; its weight does not change on a straight line and
     # goes with the bias.
     free = resistance[(t_s > run.tare_end_s - 3.0) & (t_s <= run.tare_end_s)]
-    axial_N = resistance - free.mean()
-    std_N = np.full(len(t_s), free.std())
-    return ForceReading(source="ft", method="ours", axial_N=axial_N, std_N=std_N)
+    return ForceReading(
+        source="ft",
+        method="ours",
+        axial_N=resistance - free.mean(),
+        std_N=np.full(len(t_s), free.std()),
+    )
 
 
 def joint_residual(
@@ -345,10 +352,13 @@ def identify(
             touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
             config = replace(config, contact_depth_m=touch)
         speed_m_s = None if signal.speed_m_s is None else signal.speed_m_s[start:]
-        t_s = signal.t_s[start:]
-        depth_m = signal.depth_m[start:]
-        force_N = signal.force_N[start:]
-        result = replay(t_s, depth_m, force_N, speed_m_s, config)
+        result = replay(
+            signal.t_s[start:],
+            signal.depth_m[start:],
+            signal.force_N[start:],
+            speed_m_s,
+            config,
+        )
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
     alarms = tuple(alarms_of(result, truth.t_s, start))

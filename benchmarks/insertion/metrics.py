@@ -148,9 +148,10 @@ def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     """
     inside = truth.is_insertion[identified.start :]
     speed_m_s = truth.speed_m_s[identified.start :]
-    is_advancing = speed_m_s > ADVANCING_m_s
-    is_at_rest = np.abs(speed_m_s) <= ADVANCING_m_s
-    parts = {"moving": inside & is_advancing, "at_rest": inside & is_at_rest}
+    parts = {
+        "moving": inside & (speed_m_s > ADVANCING_m_s),
+        "at_rest": inside & (np.abs(speed_m_s) <= ADVANCING_m_s),
+    }
     quantities = {
         "tip": ("tip_force", truth.tip_N),
         "shaft": ("shaft_friction", truth.axial_N - truth.tip_N),
@@ -164,10 +165,10 @@ def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
             judged = samples & is_stated
             if judged.any():
                 is_covered = np.abs(error_N) <= 2.0 * std_N
-                covered = float(np.mean(is_covered[judged]))
-                values[f"{quantity}_coverage_{part}_2sigma"] = covered
-                ratio = _rms(std_N[judged]) / _rms(error_N[judged])
-                values[f"{quantity}_std_ratio_{part}"] = ratio
+                covered = f"{quantity}_coverage_{part}_2sigma"
+                values[covered] = float(np.mean(is_covered[judged]))
+                ratio = f"{quantity}_std_ratio_{part}"
+                values[ratio] = _rms(std_N[judged]) / _rms(error_N[judged])
     return values
 
 

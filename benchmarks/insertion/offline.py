@@ -24,10 +24,15 @@ def offline_fit(
 ) -> OfflineIdentification:
     """Fit equation (6) to the insertion, from contact to the deepest point."""
     inside = truth.is_insertion
-    depth = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
-    columns = (truth.t_s, depth, quiet_speed_m_s(signal), signal.force_N)
-    t_s, depth_m, speed_m_s, force_N = (column[inside] for column in columns)
-    return identify_offline(t_s, depth_m, speed_m_s, force_N, layer_spans(truth), model)
+    depth_m = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
+    return identify_offline(
+        truth.t_s[inside],
+        depth_m[inside],
+        quiet_speed_m_s(signal)[inside],
+        signal.force_N[inside],
+        layer_spans(truth),
+        model,
+    )
 
 
 def quiet_speed_m_s(signal: NeedleSignal) -> NDArray[np.float64]:

@@ -135,9 +135,8 @@ class Perturbation(
             scenario = replace(scenario, layers=layers)
         if self.lateral:
             numbers = _drawn_each(self.lateral, rng)
-            direction = float(rng.uniform(0.0, 2.0 * np.pi))
-            lateral = LateralForce(direction_rad=direction, **numbers)
-            scenario = replace(scenario, lateral=lateral)
+            numbers["direction_rad"] = float(rng.uniform(0.0, 2.0 * np.pi))
+            scenario = replace(scenario, lateral=LateralForce(**numbers))
         if self.elbow is not None:
             scenario = replace(scenario, elbow=_pushes(self.elbow, motion, rng))
         return scenario
@@ -263,8 +262,8 @@ PERTURBATIONS: Mapping[str, Perturbation] = {
     name: each for group in GROUPS.values() for name, each in group.items()
 }
 """By name, in the order of the table."""
-FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
-"""Of these the virtual force feels nothing."""
+FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only", "stick-slip"))
+"""Of these the virtual force feels nothing, or too little to be judged by it."""
 MIXED = "mixed"
 PERTURBED = "robustness-"
 """The names of benchmarks in perturbed worlds begin so."""
@@ -281,8 +280,11 @@ def perturbed(
     rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
     names = (name,)
     if name == MIXED:
-        unmixed = ("plants", "unmixed")
-        groups = [list(group) for kind, group in GROUPS.items() if kind not in unmixed]
+        groups = [
+            list(group)
+            for kind, group in GROUPS.items()
+            if kind not in ("plants", "unmixed")
+        ]
         chosen = sorted(rng.choice(len(groups), 3, replace=False).tolist())
         names = tuple(groups[k][int(rng.integers(len(groups[k])))] for k in chosen)
     world = World(scenario=scenario)

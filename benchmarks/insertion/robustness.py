@@ -18,7 +18,11 @@ from benchmarks.insertion.methods import (
     identify,
     identify_as_run,
 )
-from benchmarks.insertion.metrics import coverage_metrics, event_metrics
+from benchmarks.insertion.metrics import (
+    coverage_metrics,
+    enhanced_metrics,
+    event_metrics,
+)
 from benchmarks.insertion.perturbations import (
     FT_ONLY,
     GROUPS,
@@ -116,7 +120,8 @@ def run(job: Job) -> Iterator[Figure]:
         return
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(world.scenario, world.plant, job.seed)
-    methods = METHODS if name in GROUPS["plants"] else ("ours",)
+    is_compared = name in GROUPS["plants"] and chosen in SCENARIOS
+    methods = METHODS if is_compared else ("ours",)
     case = read_sensors(run, tuple(methods))
     yield from simulated_metrics(case)
     identified = [item for source in identify_sources(case) for item in source]
@@ -124,9 +129,10 @@ def run(job: Job) -> Iterator[Figure]:
 
 
 def _events(identified: list[Identified], truth: InsertionTruth) -> Iterator[Figure]:
-    """Yield the numbers of ruptures, friction and coverage of every method."""
+    """Yield the numbers of ruptures, friction, forces and coverage of every method."""
     for item in identified:
-        values = event_metrics(item, truth) | coverage_metrics(item, truth)
+        values = event_metrics(item, truth) | enhanced_metrics(item, truth)
+        values |= coverage_metrics(item, truth)
         yield from make_figures(values, item.source, item.method)
 
 

@@ -233,9 +233,10 @@ def tool_jacobians(
 
     Row 2 is along the needle.
     """
-    model = robot.model
     data = robot.create_data()
-    frame = robot.tool_frame_id
     return np.array(
-        [pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad]
+        [
+            pin.computeFrameJacobian(robot.model, data, q, robot.tool_frame_id, axes)
+            for q in q_rad
+        ]
     )

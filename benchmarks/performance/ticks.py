@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSignals
-from benchmarks.jobs import Figure, Job
+from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from identification import MIXTURE, PUBLISHED
@@ -104,17 +104,19 @@ def describe_ticks(
         taken_us: Time of its updates.
         times: Of all subjects.
     """
-    mean_us = float(np.mean(taken_us))
-    median_us = float(np.median(taken_us))
-    yield Figure("tick_mean_us", mean_us, name)
-    yield Figure("tick_median_us", median_us, name)
-    yield Figure("tick_p99_us", np.percentile(taken_us, 99.0), name)
-    yield Figure("tick_p999_us", np.percentile(taken_us, 99.9), name)
-    yield Figure("tick_worst_us", taken_us.max(), name)
+    values = {
+        "tick_mean_us": np.mean(taken_us),
+        "tick_median_us": np.median(taken_us),
+        "tick_p99_us": np.percentile(taken_us, 99.0),
+        "tick_p999_us": np.percentile(taken_us, 99.9),
+        "tick_worst_us": taken_us.max(),
+    }
     if name not in (BARE_OBSERVER, BARE_SENSOR):
         bare_us = times[BARE_OBSERVER if name == OBSERVER else BARE_SENSOR]
-        yield Figure("tick_ratio", cost_ratio(taken_us, bare_us), name)
-        yield Figure("tick_mean_over_median", mean_us / median_us, name)
+        values["tick_ratio"] = cost_ratio(taken_us, bare_us)
+        mean_over_median = values["tick_mean_us"] / values["tick_median_us"]
+        values["tick_mean_over_median"] = mean_over_median
+    yield from make_figures(values, name)
 
 
 def first_counted(run: Run, signals: JointSignals) -> int:

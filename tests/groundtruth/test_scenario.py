@@ -153,6 +153,19 @@ def test_names_are_permanent_and_choose_motion_and_seed():
         assert end_m + 10e-3 <= case.motion.deepest_m < NEEDLE_M
 
 
+def test_drawn_tissue_goes_on_cutting_behind_a_rupture():
+    stacks = [scenario("drawn-tissue", seed) for seed in range(60)]
+    layers = [layer for stack in stacks for layer in stack.layers]
+    cutting_N = [layer.cutting_fraction * layer.exit_force_N for layer in layers]
+
+    assert {len(stack.layers) for stack in stacks} == {1, 2, 3}
+    assert 0.1 <= min(cutting_N) < 0.2 < 0.6 < max(cutting_N) <= 0.9
+    assert {5.0 < layer.stiffness_N_per_m < 50.0 for layer in layers} == {True}
+    for stack in stacks:
+        end_m = Tissue(stack.layers).interfaces[-1].depth_m
+        assert end_m + 10e-3 <= stack.motion.deepest_m < NEEDLE_M
+
+
 def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
     for name in (name for name in RUPTURES if name.endswith("-constant")):
         run = runs[name]

@@ -65,6 +65,23 @@ def test_texture_has_stated_spread_and_correlation():
         assert together == pytest.approx(np.exp(-((lag / 0.5e-3) ** 2) / 2.0), abs=0.05)
 
 
+def test_a_cut_slips_behind_a_rupture_by_what_is_drawn():
+    layers = tuple(varied(gel(70), slip_N=0.15) for _ in range(2))
+    end = 2 * gel(70).thickness_m
+    depth, even = pushed_through((gel(70), gel(70)), end)
+    _, slipping = pushed_through(layers, end)
+    extra = np.array([b.tip_N - a.tip_N for a, b in zip(even, slipping, strict=True)])
+    is_top = (extra[1:-1] > extra[:-2]) & (extra[1:-1] > extra[2:])
+    tops = np.flatnonzero(is_top) + 1
+    apart_m = np.diff(depth[tops])
+
+    assert not extra[depth <= gel(70).thickness_m].any()
+    assert len(tops) > 10
+    assert 0.04 < extra[tops].min() < extra[tops].max() <= 0.15
+    assert 0.29e-3 < apart_m.min() < apart_m.max() < 2.01e-3
+    assert np.abs(extra[tops + 3]).max() < 0.02
+
+
 def test_kept_tip_force_fades_after_an_internal_rupture():
     layers = (gel(70), gel(70))
     keeping = tuple(varied(layer, kept_fraction=0.6) for layer in layers)

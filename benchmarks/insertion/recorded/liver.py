@@ -260,8 +260,8 @@ def run(job: Job) -> Iterator[Figure]:
     what the shaft friction was there during insertion. Methods see the insertion and
     the hold only. The rule of thumb: 0.7 of the insertion force is friction.
     """
-    methods: tuple[Method, ...] = ("rule-of-thumb", *IDENTIFIERS)
-    by_method: dict[Method, list[LiverEstimates]] = {method: [] for method in methods}
+    by_method: dict[Method, list[LiverEstimates]] = {"rule-of-thumb": []}
+    by_method |= {method: [] for method in IDENTIFIERS}
     for index in range(len(NUMBERS)):
         whole = read_liver(job.recordings, index)
         inside = whole.insertion

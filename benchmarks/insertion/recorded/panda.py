@@ -61,8 +61,9 @@ def read_panda(data: Path) -> Panda:
         DataError: A file is missing or lacks something.
     """
     folder = data / FOLDER
-    names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
-    t_s, q, dq, tau = read_arrays(folder / "free_motion.npz", names)
+    t_s, q, dq, tau = read_arrays(
+        folder / "free_motion.npz", ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    )
     table = read_table(folder / "model.json")
     try:
         robot = _robot(table)
@@ -165,8 +166,8 @@ def run_with_liver(job: Job) -> Iterator[Figure]:
     signals = replace(panda.signals, tau_Nm=loaded)
     forces_N = {}
     for method, config in METHODS.items():
-        real = replace(config, friction=panda.friction)
-        session = run_session(panda.robot, signals, method, TARE_s, sensor=real)
+        sensor = replace(config, friction=panda.friction)
+        session = run_session(panda.robot, signals, method, TARE_s, sensor=sensor)
         forces_N[method] = session.unsmoothed_N
         for item in wrench_metrics(session.reading, truth):
             # The force changes less than this arm's noise: its lag would be a guess.

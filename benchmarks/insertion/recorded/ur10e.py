@@ -63,8 +63,7 @@ def read_ur10e(data: Path) -> Ur10e:
 
 def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
     """Read signals; torque is torque constant times current."""
-    names = ("t_s", "q_rad", "dq_rad_s", "current_A")
-    t_s, q, dq, current = read_arrays(path, names)
+    t_s, q, dq, current = read_arrays(path, ("t_s", "q_rad", "dq_rad_s", "current_A"))
     return JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=current * torque_constant)
 
 
@@ -95,7 +94,6 @@ def _placement(row: dict[str, Any]) -> pin.SE3:
 
 GAIN_per_s = 20.0
 """That of the known-good figures."""
-SETTLING_s = 5.0 / GAIN_per_s
 
 
 def run(job: Job) -> list[Figure]:
@@ -131,7 +129,7 @@ def run(job: Job) -> list[Figure]:
 
 def _settled(signals: JointSignals) -> NDArray[np.bool_]:
     """Return which samples the observer has settled at, shape (n,)."""
-    return signals.t_s - signals.t_s[0] >= SETTLING_s
+    return signals.t_s - signals.t_s[0] >= 5.0 / GAIN_per_s  # five lags
 
 
 def _force_up(
@@ -161,8 +159,7 @@ def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) ->
     gravity = np.array(
         [pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad]
     )
-    torque = gravity - residual
     payload = identify_payload_static(
-        robot, q_rad, torque, torque_noise_std_Nm=noise_Nm
+        robot, q_rad, gravity - residual, torque_noise_std_Nm=noise_Nm
     )
     return float(payload.parameters[0])
