@@ -5,7 +5,7 @@ import math
 
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.catalogue import BENCHMARKS, GROUPS, make_jobs
@@ -159,6 +159,7 @@ def test_a_metric_names_its_unit(metric, unit):
     assert unit_of(metric) == unit
 
 
+@settings(max_examples=15)
 @given(old=VALUES, new=VALUES, metric=st.sampled_from(sorted(METRICS)))
 def test_what_is_worse_one_way_is_not_worse_the_other(old, new, metric):
     assert not change(old, new, metric) == change(new, old, metric) == "worse"

@@ -13,6 +13,7 @@ import pytest
 from residual import (
     DEFAULT,
     HAND_DRIVEN,
+    BiasPrior,
     ConfigurationError,
     JointFriction,
     MomentumObserver,
@@ -25,6 +26,7 @@ from residual import (
     TareError,
     VelocityEstimator,
     VirtualForceSensor,
+    WrenchEstimator,
 )
 from tests.insertion_run import same
 from tests.residual.guarded_sensor import (
@@ -358,11 +360,6 @@ def test_what_is_no_measurement_is_reported_and_never_used(lwr, word, with_veloc
             assert reports(lwr, *bad, with_velocity=with_velocity)
 
 
-@pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
-def test_a_clock_set_forward_is_reported_once(lwr, dt_s):
-    assert reports(lwr, {}, dt_s, "clock")
-
-
 @pytest.mark.parametrize("dt_s", NO_STEP, ids=range(len(NO_STEP)))
 def test_no_time_step_makes_an_update_raise(lwr, dt_s):
     velocity = VelocityEstimator(7)
@@ -454,6 +451,12 @@ STORIES = {
         ),
         ("", "update", 1, 2e-3, Status.OK, NONE, ""),
         ("", "update", 1, -3600.0, Status.REJECTED, NONE, ""),
+        ("", "update", 1, 1e-3, Status.OK, NONE, ""),
+    ],
+    "a clock that is set forward": [
+        *(FREE, TARE),
+        ("", "update", 1, 1e200, Status.REJECTED, NONE, "clock"),
+        ("", "update", 1, 86_401.0, Status.REJECTED, NONE, "clock"),
         ("", "update", 1, 1e-3, Status.OK, NONE, ""),
     ],
     "torques that are mixed": [
@@ -578,6 +581,48 @@ SIX = np.ones(6)
                         "NaN", (), {"torque": lambda self, dq: dq + np.nan}
                     )()
                 },
+            )
+        ),
+        *(
+            (
+                next(iter(bad)),
+                lambda _, bad=bad: JointFriction(
+                    **dict.fromkeys(("viscous_Nms", "coulomb_Nm", "offset_Nm"), [1.0])
+                    | bad
+                ),
+            )
+            for bad in (
+                {"viscous_Nms": [-1.0]},
+                {"coulomb_Nm": [1.0, 2.0]},
+                {"offset_Nm": [np.nan]},
+                {"offset_Nm": ["much"]},
+                {"reversal_speed_rad_s": 0.0},
+            )
+        ),
+        *(
+            (
+                word,
+                lambda arm, bad=bad: VirtualForceSensor(
+                    arm, SensorConfig(prior=BiasPrior(**bad))
+                ),
+            )
+            for word, bad in (
+                ("mass_fraction", {"mass_fraction": 0.0}),
+                ("hysteresis_widths", {"hysteresis_widths": 1e-4}),
+                ("com_m", {"com_m": np.nan}),
+                ("7", {"gear_ratio": (160.0,)}),  # of another arm
+            )
+        ),
+        *(
+            (
+                word,
+                lambda arm, bad=bad: WrenchEstimator(arm).set_torque_covariance(bad),
+            )
+            for word, bad in (
+                ("shape", np.eye(6)),
+                ("symmetric", np.eye(7) + np.triu(np.ones((7, 7)), 1)),
+                ("positive definite", -np.eye(7)),
+                ("finite", np.eye(7) * np.nan),
             )
         ),
         ("steps_per_tick", lambda arm: tared(arm)[0].start_tare(steps_per_tick=0)),

@@ -15,7 +15,6 @@ from groundtruth import PLANT_MODELS
 from groundtruth.arm_plant import BearingFriction
 from residual import (
     BiasPrior,
-    ConfigurationError,
     SensorConfig,
     Status,
     TareError,
@@ -332,17 +331,3 @@ def test_noise_is_whitened_by_the_root_of_its_covariance(wave_Nm):
         rtol=1e-6,
         atol=1e-6,
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "word"),
-    [
-        ("mass_fraction", 0.0, "mass_fraction"),
-        ("hysteresis_widths", 1e-4, "hysteresis_widths"),
-        ("com_m", np.nan, "com_m"),
-        ("gear_ratio", (160.0,), "7"),  # of another arm
-    ],
-)
-def test_priors_that_cannot_be_are_refused(lwr, name, value, word):
-    with pytest.raises(ConfigurationError, match=word):
-        VirtualForceSensor(lwr, SensorConfig(prior=BiasPrior(**{name: value})))
