@@ -144,7 +144,7 @@ def test_wrong_signs_and_units_get_a_hint(change, word):
     assert replayed().hints == ()
 
 
-@pytest.mark.parametrize("offset_N", [-49.0, -3.0, 22.0])
+@pytest.mark.parametrize("offset_N", [-49.0, 22.0])
 def test_an_offset_of_the_sensor_is_no_sign(offset_N):
     offset = record()._replace(force_N=record().force_N + offset_N)
     turned = record()._replace(force_N=-record().force_N + offset_N)

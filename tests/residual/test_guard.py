@@ -23,7 +23,6 @@ from tests.residual.guarded_sensor import (
 from tests.residual.residual_signals import (
     MIDDLE,
     jacobian_of,
-    pose_of,
     swing,
 )
 
@@ -353,9 +352,7 @@ def test_a_joint_at_its_limit_is_reported(lwr):
     middle = MIDDLE.copy()
     middle[5] = lwr.position_upper_rad[5] - 0.05
     sensor, rows = tared(lwr, middle=middle, more=4.0)
-    named = [
-        e for e in feed(sensor, rows) if SensorWarning.JOINT_LIMIT in e.warnings
-    ]
+    named = [e for e in feed(sensor, rows) if SensorWarning.JOINT_LIMIT in e.warnings]
 
     assert 0 < len(named) < len(rows)
     assert "joint 6" in named[-1].message

@@ -587,7 +587,7 @@ SIX = np.ones(6)
             (
                 next(iter(bad)),
                 lambda _, bad=bad: JointFriction(
-                    **dict.fromkeys(("viscous_Nms", "coulomb_Nm", "offset_Nm"), [1.0])
+                    **{"viscous_Nms": [1.0], "coulomb_Nm": [1.0], "offset_Nm": [0.0]}
                     | bad
                 ),
             )

@@ -158,9 +158,8 @@ def test_wrong_velocities_are_reported_and_stay_so(lwr, kind):
     assert found[-1].message == message
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
-@pytest.mark.parametrize("factor", [DEGREES, -1.0])
-def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
+@pytest.mark.parametrize(("config", "factor"), [(DEFAULT, DEGREES), (PUBLISHED, -1.0)])
+def test_the_tare_is_refused_for_wrong_velocities(lwr, config, factor):
     sensor = VirtualForceSensor(lwr, config)
     rows = changed(rows_of(*signals(lwr, 4.1)), 1, lambda dq: factor * dq)
     before = feed(sensor, rows[:4000])[-1]
