@@ -65,8 +65,6 @@ def test_every_dependency_has_a_range_and_a_reason():
     for extra in PROJECT["optional-dependencies"].values():
         wanted += [item for item in extra if not item.startswith("needleforce[")]
 
-    assert len(wanted) > 10
-
     for item in wanted:
         assert re.search(r">=[\d.]+,<[\d.]+(; sys_platform == .*)?$", item), item
         assert re.search(rf'"{re.escape(item)}", +# \w', text), item

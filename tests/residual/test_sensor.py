@@ -34,6 +34,7 @@ from tests.residual.guarded_sensor import (
     at,
     changed,
     feed,
+    feed_external,
     pushed,
     rows_of,
     signals,
@@ -91,18 +92,15 @@ def test_the_force_of_external_torques_follows_at_once(lwr, with_velocity):
     _, q, dq, _ = swing(lwr, seconds=1.0, amplitude=0.03)
     torque_Nm = BIAS + 0.03 * np.random.default_rng(0).normal(size=q.shape)
     rows = rows_of(q, dq if with_velocity else None, torque_Nm)
-    found = []
-    for k, row in enumerate(pushed(lwr, rows, -FORCE_N, 500)):
-        if k == 500:
-            sensor.tare()
-        found.append(sensor.update_external_torque(*row, 1e-3))
-        if found[-1].status is not Status.INITIALIZING:
-            late = 0 if with_velocity else 10
-            np.testing.assert_allclose(sensor.velocity_rad_s, dq[k - late], atol=2e-3)
+    free = feed_external(sensor, rows[:500])
+    sensor.tare()
+    found = feed_external(sensor, pushed(lwr, rows[500:], -FORCE_N))
     needles = np.array([pose_of(lwr, one).rotation[:, 2] for one in q[500:]])
-    errors_N = [e.axial for e in found[500:]] + needles @ FORCE_N
+    errors_N = [e.axial for e in found] + needles @ FORCE_N
+    late = 0 if with_velocity else 10
 
-    assert (found[60].status, sensor.lag_s) == (Status.NOT_TARED, 0.0)
+    assert (free[60].status, sensor.lag_s) == (Status.NOT_TARED, 0.0)
+    np.testing.assert_allclose(sensor.velocity_rad_s, dq[-1 - late], atol=2e-3)
     assert 0.3 < np.std(errors_N) / found[-1].axial_std < 2.0
     assert abs(np.mean(errors_N)) < 0.02
 
@@ -174,12 +172,11 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     push_Nm = external_torque_of(lwr, MIDDLE, -2.0 * needle)
     torque_Nm = 0.02 * np.random.default_rng(0).normal(size=(4000, 7))
     torque_Nm[3000:] += push_Nm
-    found = []
-    for k, torque in enumerate(torque_Nm):
-        if k == 1000:
-            sensor.tare()
-        found.append(sensor.update_external_torque(MIDDLE, None, torque, 1e-3))
-    still = found[1500:3000]
+    rows = [(MIDDLE, None, torque) for torque in torque_Nm]
+    feed_external(sensor, rows[:1000])
+    sensor.tare()
+    found = feed_external(sensor, rows[1000:])
+    still = found[500:2000]
     smooth, rough, across, std = (
         np.array([getattr(e, name) for e in still])
         for name in ("axial", "axial_unsmoothed", "lateral", "axial_std")
@@ -189,7 +186,7 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     # more pass.
     assert np.std(smooth) < 0.35 * np.std(rough)
     assert np.std(smooth) < std.mean() < np.std(rough)
-    assert [e.axial for e in found[3001:]] == pytest.approx(
+    assert [e.axial for e in found[2001:]] == pytest.approx(
         np.full(999, 2.0), abs=3.0 * std.mean()
     )
     if mode != "axial":
