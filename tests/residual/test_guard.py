@@ -376,6 +376,7 @@ def test_a_lateral_push_mismatches_only_the_axial_mode(lwr, mode, mismatches):
 
     assert found[99].model_mismatch < 2.0
     assert (found[-1].model_mismatch > 4.0, warned) == (mismatches, mismatches)
+    assert bool(found[-1].message) == mismatches
 
 
 def test_acceleration_widens_the_deviation_of_each_joint(lwr):
