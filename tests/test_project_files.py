@@ -19,20 +19,14 @@ def read_yaml(path):
     return YAML(typ="safe").load(path.read_text(encoding="utf-8"))
 
 
-def test_the_citation_names_this_version():
+def test_version_and_date_are_those_of_the_changelog_and_the_citation():
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    released = re.search(r"^## \[([\d.]+)\] – (\S+)$", changelog, re.M).groups()
     citation = read_yaml(ROOT / "CITATION.cff")
 
+    assert released == (citation["version"], str(citation["date-released"]))
     assert citation["version"] == PROJECT["version"]
     assert citation["license"] == PROJECT["license"]
-
-
-def test_version_and_date_are_those_of_the_changelog():
-    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    version, date = re.search(r"^## \[([\d.]+)\] – (\S+)$", changelog, re.M).groups()
-    citation = read_yaml(ROOT / "CITATION.cff")
-
-    assert version == PROJECT["version"]
-    assert str(citation["date-released"]) == date
 
 
 def test_the_workflow_runs_the_checks_on_every_supported_python():
@@ -70,8 +64,6 @@ def test_every_dependency_has_a_range_and_a_reason():
     wanted = [*PROJECT["dependencies"]]
     for extra in PROJECT["optional-dependencies"].values():
         wanted += [item for item in extra if not item.startswith("needleforce[")]
-
-    assert len(wanted) > 10
 
     for item in wanted:
         assert re.search(r">=[\d.]+,<[\d.]+(; sys_platform == .*)?$", item), item

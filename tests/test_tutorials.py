@@ -97,6 +97,13 @@ def test_the_commands_of_a_recording_print_what_is_shown(name, run):
 
     assert any(answer for _, answer in shown)
 
+    for program in programs(name):
+        said = io.StringIO()
+        with redirect_stdout(said):
+            exec(compile(program, name, "exec"), {})
+
+        assert f"```text\n{said.getvalue()}```" in page(name)
+
 
 @pytest.mark.slow
 def test_a_recording_of_the_live_arm_prints_what_is_shown(run):
@@ -116,28 +123,10 @@ def test_a_recording_of_the_live_arm_prints_what_is_shown(run):
 @pytest.mark.slow
 def test_the_plan_of_the_page_is_the_one_shown(run):
     pytest.importorskip("SimpleITK")
-    printed = ""
-    for arguments, answer in commands("ct-to-needle"):
+    names = [arguments[0] for arguments, _ in commands("ct-to-needle")]
+    for arguments, answer in commands("ct-to-needle")[: names.index("plan") + 1]:
         if arguments[0] in ("simulate", "plan") and "sim" not in arguments[1]:
-            printed = run(arguments, answer)
-        if arguments[0] == "plan":
-            break
-
-    assert printed
-
-
-@pytest.mark.slow
-def test_the_truth_of_the_csv_is_the_one_shown(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    arguments, _ = commands("csv")[0]
-    main(arguments)
-    (program,) = programs("csv")
-    (tmp_path / "truth.py").write_text(program, encoding="utf-8")
-    output = subprocess.run(
-        [sys.executable, "truth.py"], capture_output=True, text=True, check=True
-    ).stdout
-
-    assert f"```text\n{output}```" in page("csv")
+            run(arguments, answer)
 
 
 def free_port():

@@ -16,10 +16,8 @@ def names(jobs):
 def test_groups_name_what_they_say():
     tissue = [name for name, item in SCENARIOS.items() if item.layers]
 
-    assert len(tissue) == 12
-    jobs = (make_jobs(["tissue"]), make_jobs(["free-motion", "tissue"]), make_jobs())
-    expected = [tissue, ["free-motion", *tissue], list(GROUPS["quick"])]
-    assert [names(one) for one in jobs] == expected
+    assert names(make_jobs(["free-motion", "tissue"])) == ["free-motion", *tissue]
+    assert names(make_jobs()) == list(GROUPS["quick"])
     assert all(name in BENCHMARKS for group in GROUPS.values() for name in group)
 
 
@@ -32,16 +30,13 @@ def test_each_benchmark_runs_once_per_case_plant_and_seed(tmp_path):
         report=tmp_path,
     )
 
+    control = make_jobs(["control"])
+
     assert [(job.plant, job.seed, job.report) for job in jobs] == [
         (plant, seed, tmp_path if seed == 5 else None)
         for plant in ("degraded", "ideal")
         for seed in (5, 6)
     ]
-
-    control = make_jobs(["control"])
-
-    pairs = {(job.plant, job.seed) for job in control}
-    assert pairs == {("clean", 1000), ("fri", 1000)}
     assert len({(job.scenario, job.plant) for job in control}) == len(control)
 
 

@@ -101,19 +101,6 @@ def test_a_missed_target_fails_a_strict_run(study, monkeypatch):
     assert [run(), run("--strict", "--targets")] == [0, 1]
 
 
-@pytest.mark.slow
-def test_processes_say_why_a_job_failed(tmp_path):
-    jobs = [
-        Job(benchmark="panda-real", plant="recording", data=tmp_path, seed=seed)
-        for seed in (0, 1)
-    ]
-    results, failed = run_jobs(jobs, workers=2)
-
-    assert results.empty
-    found = sorted((item.job.seed, "cannot read" in item.failure) for item in failed)
-    assert found == [(0, True), (1, True)]
-
-
 def test_compare_fails_on_what_is_worse(tmp_path, capsys):
     old, new = (str(tmp_path / f"{name}.parquet") for name in ("old", "new"))
     write_results(Path(old), [make_seeds((0.1, 0.1))])

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from benchmarks.figures import (
-    METHOD_NAMES,
     STORED,
     Part,
     RowSpec,
@@ -35,12 +34,6 @@ def test_the_pages_show_the_figures_of_the_campaign():
     figures = json.loads(STORED.read_bytes())
     for page, filled in fill_pages(figures).items():
         assert page.read_text(encoding="utf-8") == filled, page.name
-
-
-def test_every_column_is_a_method_with_a_name_for_people():
-    assert {name for table in read_specs() for name in table.methods} <= set(
-        METHOD_NAMES
-    )
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import math
 
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.catalogue import BENCHMARKS, GROUPS, make_jobs
@@ -129,12 +129,6 @@ def test_ratios_are_to_the_published_value_of_the_same_run():
     assert evaluate(make_seeds((0.1,)), [reported]).empty
 
 
-def test_missed_targets_come_first():
-    goals = [goal(at_most=1.0), goal(at_most=0.01)]
-
-    assert evaluate(make_seeds((0.1,)), goals)["met"].tolist() == [False, True]
-
-
 def test_every_target_names_metrics_and_benchmarks_that_exist():
     groups = [name for name in GROUPS if name != "recordings"]
     known = {job.scenario for job in make_jobs(groups)} | set(BENCHMARKS)
@@ -159,6 +153,7 @@ def test_a_metric_names_its_unit(metric, unit):
     assert unit_of(metric) == unit
 
 
+@settings(max_examples=15)
 @given(old=VALUES, new=VALUES, metric=st.sampled_from(sorted(METRICS)))
 def test_what_is_worse_one_way_is_not_worse_the_other(old, new, metric):
     assert not change(old, new, metric) == change(new, old, metric) == "worse"

@@ -122,14 +122,12 @@ def chain_numbers(joint_rows, needle_rows):
     q = 0.3 + 0.05 * np.cos(times * np.arange(1, 8))
     dq = -0.05 * np.arange(1, 8) * np.sin(times * np.arange(1, 8))
     tau = 2.0 + np.sin(times) + 0.01 * rng.normal(size=q.shape)
-    for has_velocity in (True, False):
+    for velocities in (dq, [None] * joint_rows):
         session = InsertionSession(robot)
         for k in range(joint_rows):
             if k == 250:
                 session.tare(ignore_contact=True)
-            estimate = session.update(
-                q[k], dq[k] if has_velocity else None, tau[k], dt_s
-            )
+            estimate = session.update(q[k], velocities[k], tau[k], dt_s)
             wrench = estimate.wrench
             found.append([wrench.axial, wrench.axial_std, estimate.speed_m_s])
     depth_m = 2e-5 * np.arange(needle_rows) - 2e-3

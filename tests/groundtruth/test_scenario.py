@@ -47,7 +47,7 @@ def test_a_tremor_swings_between_tare_and_withdrawal():
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE, FREE])
 def test_speed_is_the_bounded_rate_of_position(motion):
-    t = np.linspace(-1.0, motion.duration_s + 1.0, 200_001)
+    t = np.linspace(-1.0, motion.duration_s + 1.0, 50_001)
     speed_m_s = motion.speed_m_s(t)
     end_s = motion.duration_s
     rests_s = np.array([0.0, 0.5, 1.0, end_s - 0.25, end_s + 9.0])
@@ -89,6 +89,7 @@ def test_sinusoidal_insertion_is_the_papers():
 GOOD = {
     constant_motion: {"speed_m_s": 2e-3, "depth_m": 0.05, "standoff_m": 5e-3},
     sinusoidal_motion: {"stroke_m": 0.07, "frequency_hz": 0.016, "standoff_m": 0.02},
+    insert_needle: {"scenario": "gel-25-constant", "rate_hz": 250.0},
 }
 
 
@@ -101,11 +102,12 @@ GOOD = {
             (make, {field: value}, field)
             for make, good in GOOD.items()
             for field in good
-            for value in (0.0, float("nan"))
+            if field != "scenario"
+            for value in (0.0, -1.0, float("nan"), float("inf"))
         ),
     ],
 )
-def test_impossible_motions_are_refused(make, change, word):
+def test_impossible_motions_and_rates_are_refused(make, change, word):
     with pytest.raises(MotionError, match=word):
         make(**(GOOD[make] | change))
 
@@ -218,30 +220,27 @@ def test_free_motion_reads_the_stated_noise(runs):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
-@pytest.mark.slow
-def test_seeds_change_the_noise_only():
-    first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
-
-    assert (first.force_N == again.force_N).all()
-    assert (first.force_N != other.force_N).any()
-    assert (first.truth.axial_N == other.truth.axial_N).all()
-
-    run = insert_needle("gel-25-constant", noise=ForceNoise())
-
-    assert (run.force_N == run.truth.axial_N).all()
-    assert not run.force_N.flags.writeable | run.truth.axial_N.flags.writeable
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["liver-constant", "abdomen-sinusoidal"])
-def test_the_rate_changes_the_sampling_not_the_force(name):
-    coarse = insert_needle(name, noise=ForceNoise())
-    rare = insert_needle(name, rate_hz=250.0, noise=ForceNoise())
-
-    assert rare.t_s == pytest.approx(coarse.t_s[::4][: rare.t_s.size])
-    assert rare.truth.axial_N == pytest.approx(
-        coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3
+def test_seeds_change_the_noise_only(runs):
+    usual = runs["gel-25-constant"]
+    again, other = (
+        insert_needle("gel-25-constant", seed=seed, rate_hz=500.0) for seed in (0, 4)
     )
+    quiet = insert_needle("gel-25-constant", rate_hz=500.0, noise=ForceNoise())
+
+    assert (again.force_N == usual.force_N).all()
+    assert (other.force_N != usual.force_N).any()
+    assert (other.truth.axial_N == usual.truth.axial_N).all()
+    assert (quiet.force_N == usual.truth.axial_N).all()
+    assert not quiet.force_N.flags.writeable | quiet.truth.axial_N.flags.writeable
+
+
+def test_the_rate_changes_the_sampling_not_the_force(runs):
+    dense = runs["liver-constant"]
+    rare = insert_needle("liver-constant", rate_hz=250.0)
+    rows = slice(0, 2 * rare.t_s.size, 2)
+
+    assert rare.t_s == pytest.approx(dense.t_s[rows])
+    assert rare.truth.axial_N == pytest.approx(dense.truth.axial_N[rows], abs=1e-3)
 
 
 @pytest.mark.parametrize("name", RUPTURES)
@@ -264,12 +263,6 @@ def test_tissue_never_pulls_and_friction_never_drives(runs, name):
     assert power.sum() > 0.0
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
-def test_unusable_settings_are_refused_by_name(value):
-    with pytest.raises(MotionError, match="rate_hz"):
-        insert_needle("gel-25-constant", rate_hz=value)
-
-
 @pytest.mark.slow
 def test_drawn_stacks_are_physical_and_rupture_everywhere():
     layers = [layer for stack in DRAWN for layer in stack.layers]
@@ -280,10 +273,9 @@ def test_drawn_stacks_are_physical_and_rupture_everywhere():
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
     assert with_membrane == pytest.approx(0.25, abs=0.1)
     assert 1.0 < min(friction) < max(friction) < 60.0
-    for stack in (*DRAWN[:6], *(scenario("random-tissue", seed) for seed in range(3))):
+    for stack in (*DRAWN[:3], *(scenario("random-tissue", seed) for seed in range(2))):
         run = insert_needle(stack, rate_hz=200.0)
         drops_N = [boundary.drop_N for boundary in Tissue(stack.layers).interfaces]
         assert len(run.truth.ruptures) == np.count_nonzero(drops_N)
-        assert run.truth.axial_N[-1] == 0.0
         assert run.truth.tip_N.min() >= 0.0
         assert np.abs(run.force_N).max() < 15.0

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from scipy.signal import lfilter
 
@@ -20,7 +19,9 @@ from groundtruth import (
     gel,
     simulate,
 )
+from residual import MomentumObserver
 from tests.insertion_run import same
+from tests.residual.guarded_sensor import feed, rows_of
 
 GAIN_PER_S = 50.0
 GRAVITY = 9.80665
@@ -56,24 +57,11 @@ def runs() -> dict[str, Run]:
 
 
 def momentum_residual(run: Run):
-    """Observer's residual by the rigid model and the measured torque, exact step,
-    true motion."""
-    model = run.robot.model
-    data = model.createData()
-    rows = list(zip(run.truth.q_rad, run.truth.dq_rad_s, strict=True))
-    momentum = np.array([pin.crba(model, data, q) @ dq for q, dq in rows])
-    rate = np.array(
-        [
-            pin.computeCoriolisMatrix(model, data, q, dq).T @ dq
-            - pin.computeGeneralizedGravity(model, data, q)
-            for q, dq in rows
-        ]
-    )
-    return filtered(
-        np.diff(momentum, axis=0) / TICK_s
-        - run.truth.tau_Nm[:-1]
-        - 0.5 * (rate[1:] + rate[:-1])
-    )
+    """Observer's residual by the rigid model and the true signals."""
+    truth = run.truth
+    observer = MomentumObserver(run.robot, GAIN_PER_S, alignment="hold")
+    rows = rows_of(truth.q_rad, truth.dq_rad_s, truth.tau_Nm)
+    return np.array(feed(observer, rows, TICK_s))[1:]
 
 
 def filtered(torque_Nm):

@@ -121,7 +121,6 @@ def test_tip_force_is_released_and_withdrawal_is_friction(
     )
     assert (np.diff(tip[is_released]) < 0.0).all()
     assert not tip[depth_in > end_m + layer.release_m].any()
-    assert inward[-1].layer == 2
     assert axial[slid] == pytest.approx(-friction_in[slid], abs=0.01)
     assert per_length.min() == pytest.approx(per_length.max(), rel=1e-6)
     assert not np.append(tips(outward), axial[depth < 0.0]).any()

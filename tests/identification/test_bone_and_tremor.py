@@ -74,11 +74,10 @@ def test_bone_is_one_event_soon_after_the_contact(stiffness_N_per_m, speed_m_s):
 
 
 def test_what_counts_as_hard_is_a_setting():
-    soft, estimates = insert_onto(1500.0)
+    soft, _ = insert_onto(1500.0)
     [contact], _ = insert_onto(1500.0, hard_contact_N_per_m=800.0)
 
     assert soft == []
-    assert TissueWarning.HARD_CONTACT not in estimates[-1].warnings
     assert contact.growth_N_per_m == pytest.approx(1500.0, rel=0.4)
 
 
@@ -137,7 +136,7 @@ def test_a_force_that_grows_at_a_stop_or_after_a_rest_is_no_bone():
 
 @pytest.mark.parametrize(
     ("tremor_m", "delay_s"),
-    [(0.0, 0.1), (0.03e-3, 0.6), (0.05e-3, 0.6), (0.12e-3, 0.6)],
+    [(0.0, 0.1), (0.05e-3, 0.6), (0.12e-3, 0.6)],
 )
 def test_a_rupture_is_found_by_a_needle_that_trembles(tremor_m, delay_s):
     motion = replace(

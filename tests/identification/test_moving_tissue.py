@@ -15,7 +15,6 @@ from tests.identification.worlds import (
     follow,
     kept_ruptures,
     noisy,
-    numbers_of,
     rows_of,
     run,
     samples_of,
@@ -28,11 +27,11 @@ BREATH = ((1.2e-3, 0.28, 2.0), (0.3e-3, 0.56, 0.5))
 BEATS = np.array([[0.3, 1.0, -0.5, 0.2, 0.1], [1.2, 0.2, 0.1, -0.1, 0.05]])
 
 
-def moving(waves, name="gel-25-constant", seed=5, rate_hz=1000.0):
+def moving(waves, name="gel-25-constant", seed=5):
     """An insertion of the simulator into tissue that moves."""
     motion = TrueMotion(waves=waves) if waves else None
     chosen = replace(scenario(name, 0), tissue_motion=motion)
-    return insert_needle(chosen, seed=seed, rate_hz=rate_hz)
+    return insert_needle(chosen, seed=seed, rate_hz=250.0)
 
 
 def test_speed_is_the_rate_of_the_place_whenever_phases_begin():
@@ -93,12 +92,12 @@ def test_a_heartbeat_and_one_that_ends_hide_no_rupture(end_s):
 @pytest.mark.slow
 def test_an_insertion_resumes_in_moving_tissue():
     _, rows = samples_of(moving(HEART, seed=7))
-    first, _ = run(rows[:16_000])
+    first, _ = run(rows[:4_000])
     second = Identifier()
     second.restore(first.snapshot())
 
     assert first.snapshot().state.learner.tissue.is_known
-    later = rows[16_000:18_000]
+    later = rows[4_000:4_500]
     assert run(later, second)[1] == run(later, first)[1]
 
 
@@ -106,7 +105,7 @@ def test_an_insertion_resumes_in_moving_tissue():
 def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
     """The window of the search empties while a part of its work is still due."""
     waves = (Wave(10.4e-3, 0.2212, 3.795), Wave(3.754e-3, 0.4424, 1.3926))
-    breathing = moving(waves, seed=105, rate_hz=250.0)
+    breathing = moving(waves, seed=105)
     columns = (breathing.t_s, breathing.depth_m, breathing.force_N, breathing.speed_m_s)
 
     assert replay(*columns).estimates[-1].status is SampleStatus.OK
@@ -130,7 +129,7 @@ def test_absurd_forces_and_speeds_leave_every_number_finite(force_N, speed_m_s):
     forces_N = np.where(k % 7, force_N, -force_N)
     _, estimates = run(rows_of(0.05 * k * speed_m_s, speed_m_s, forces_N, 0.05))
 
-    assert np.isfinite(numbers_of(estimates)).all()
+    assert np.isfinite([v for e in estimates for v in e if isinstance(v, float)]).all()
 
 
 def breathing(breath_m, hz, speed_m_s, seed):

@@ -133,21 +133,11 @@ def values_of(estimates, name):
     return [value for value in values if value is not None]
 
 
-def numbers_of(estimates):
-    """All numbers of all estimates."""
-    return [v for estimate in estimates for v in estimate if isinstance(v, float)]
-
-
 def kept_ruptures(estimates):
     """Ruptures that were reported and not retracted."""
     retracted_s = {rupture.alarm_s for rupture in values_of(estimates, "retracted")}
     ruptures = values_of(estimates, "rupture")
     return [rupture for rupture in ruptures if rupture.alarm_s not in retracted_s]
-
-
-def rms(values):
-    """The root of the mean square."""
-    return np.sqrt(np.mean(np.square(values)))
 
 
 def assert_both_found(identifier, estimates, *, within=0.2):

@@ -55,6 +55,10 @@ def feed(sensor, rows, dt_s=1e-3):
     return [sensor.update(*row, dt_s) for row in rows]
 
 
+def feed_external(sensor, rows, dt_s=1e-3):
+    return [sensor.update_external_torque(*row, dt_s) for row in rows]
+
+
 def changed(rows, which, change, first=0, last=None):
     """Samples of which one signal is changed from the first to before the last."""
     rows = [list(row) for row in rows]

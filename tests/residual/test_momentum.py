@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from residual import (
-    ConfigurationError,
     JointFriction,
     MomentumObserver,
     SigmoidFriction,
@@ -139,21 +138,6 @@ SIGMOID = SigmoidFriction(amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.
 )
 def test_friction_follows_its_formula(friction, speed, torque):
     assert friction.torque(np.array([speed]))[0] == pytest.approx(torque)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("viscous_Nms", [-1.0]),
-        ("coulomb_Nm", [1.0, 2.0]),
-        ("offset_Nm", [np.nan]),
-        ("offset_Nm", ["much"]),
-        ("reversal_speed_rad_s", 0.0),
-    ],
-)
-def test_friction_that_cannot_be_is_refused(name, value):
-    with pytest.raises(ConfigurationError, match=name):
-        JointFriction(**(SOUND | {name: value}))
 
 
 def test_modelled_friction_does_not_read_as_force(lwr):

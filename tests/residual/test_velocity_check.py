@@ -14,7 +14,14 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from tests.residual.guarded_sensor import changed, feed, held, rows_of, signals
+from tests.residual.guarded_sensor import (
+    changed,
+    feed,
+    feed_external,
+    held,
+    rows_of,
+    signals,
+)
 
 RATE_HZ = 250.0
 RATIOS = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
@@ -148,19 +155,15 @@ def test_wrong_velocities_are_reported_and_stay_so(lwr, kind):
     times, *motion = stroke()
     q, dq = bend(*motion)
     wrong_s, message, sensor = reports(lwr, times, q, dq)
-    found = [
-        sensor.update_external_torque(q[-1], np.zeros(7), np.zeros(7), 0.02)
-        for _ in range(1000)
-    ]
+    found = feed_external(sensor, [(q[-1], np.zeros(7), np.zeros(7))] * 1000, 0.02)
 
     assert 0.5 < wrong_s[0] < 0.5 + SECONDS.get(kind, 2.5)
     assert joints in message
     assert found[-1].message == message
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
-@pytest.mark.parametrize("factor", [DEGREES, -1.0])
-def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
+@pytest.mark.parametrize(("config", "factor"), [(DEFAULT, DEGREES), (PUBLISHED, -1.0)])
+def test_the_tare_is_refused_for_wrong_velocities(lwr, config, factor):
     sensor = VirtualForceSensor(lwr, config)
     rows = changed(rows_of(*signals(lwr, 4.1)), 1, lambda dq: factor * dq)
     before = feed(sensor, rows[:4000])[-1]

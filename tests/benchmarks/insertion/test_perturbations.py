@@ -38,13 +38,6 @@ def test_a_perturbation_depends_on_the_seed_and_changes_something(name):
     assert name not in ARM_ONLY or world.scenario.layers == chosen.layers
 
 
-def test_a_mixture_is_of_three_groups():
-    group_of = {name: group for group, items in GROUPS.items() for name in items}
-    for seed in range(20):
-        _, names = perturbed(MIXED, BRIEF, seed)
-        assert len({group_of[name] for name in names}) == 3
-
-
 @pytest.mark.slow
 def test_truth_is_relative_to_the_moving_tissue():
     still_signal, still_truth = perturbed_needle("none", BRIEF, 3)

@@ -1,7 +1,6 @@
 """The comparison with orocos KDL: one robot in both libraries."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from benchmarks.insertion.signals import JointSignals
@@ -11,47 +10,29 @@ from benchmarks.performance.kdl import (
     PlainEstimator,
     kdl_library,
 )
-from urdf import NeedleTool, load_lwr
+from tests.residual.residual_signals import pose_of, swing
 
 GAIN_per_s = 70.0
-PERIOD_s = 1e-3
-
-
-def pushed(robot, samples=600):
-    """Slow motion with an exact model, and a push of 2 N against the needle; its
-    true force."""
-    t = PERIOD_s * np.arange(samples)
-    middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
-    q = middle + 0.1 * np.sin(np.outer(t, np.arange(1.0, 8.0)))
-    dq = np.gradient(q, PERIOD_s, axis=0)
-    ddq = np.gradient(dq, PERIOD_s, axis=0)
-    force_N = np.where(t > 0.1, 2.0, 0.0)
-    place = (robot.tool_frame_id, pin.ReferenceFrame.LOCAL)
-    data = robot.create_data()
-    tau = [
-        pin.rnea(robot.model, data, *row)
-        + force * pin.computeFrameJacobian(robot.model, data, row[0], *place)[2]
-        for *row, force in zip(q, dq, ddq, force_N, strict=True)
-    ]
-    return JointSignals(t_s=t, q_rad=q, dq_rad_s=dq, tau_Nm=np.array(tau)), force_N
 
 
 @pytest.mark.slow
-def test_both_libraries_see_the_same_robot():
+def test_both_libraries_see_the_same_robot(lwr):
     try:
         library = kdl_library()
     except KdlAbsentError as error:
         pytest.skip(str(error))
-    robot = load_lwr(payload=NeedleTool())
-    signals, force_N = pushed(robot)
-    kdl = KdlEstimator(library, robot, signals, GAIN_per_s)
-    ours = PlainEstimator(robot, signals, GAIN_per_s)
-    for k in range(len(force_N)):
+    push_N = np.array([0.5, 0.0, 2.0])
+    t_s, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=push_N)
+    signals = JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau)
+    kdl = KdlEstimator(library, lwr, signals, GAIN_per_s)
+    ours = PlainEstimator(lwr, signals, GAIN_per_s)
+    for k in range(len(t_s)):
         kdl(k)
         ours(k)
-        if k >= 300:
-            assert ours.axial_N == pytest.approx(force_N[k], abs=0.02)
-            assert kdl.axial_N == pytest.approx(force_N[k], abs=0.1)
+    axial_N = -push_N @ pose_of(lwr, q[-1]).rotation[:, 2]
+
+    assert ours.axial_N == pytest.approx(axial_N, abs=0.02)
+    assert kdl.axial_N == pytest.approx(axial_N, abs=0.1)
 
 
 def test_without_a_compiler_there_is_no_comparison(monkeypatch):
