@@ -344,24 +344,18 @@ def touch_part(name, rng, outliers):
 def test_touches_find_the_surface_among_those_that_slipped():
     rng = np.random.default_rng(2)
     inside = []
-    for number in range(12):
+    for _ in range(6):
         surface, touches_m, start, shift_m = touch_part("organ", rng, 0.1)
-        fit = fit_surface(surface, touches_m, start, check=number == 0)
+        fit = fit_surface(surface, touches_m, start, check=False)
         assert np.linalg.norm(fit.to_robot(np.zeros(3)) - shift_m) < 1e-3
         assert 0.1e-3 < fit.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
         inside.append(fit.region_contains(np.zeros(3), shift_m))
 
     assert np.mean(inside) > 0.8
-    # Half a turn away, or where as many slipped, it is refused.
-    turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_matrix()
-    middle_m = touches_m.mean(axis=0)
-    place_m = turn @ (start.translation_m - middle_m) + middle_m
-    far = replace(start, rotation=turn @ start.rotation, translation_m=place_m)
+    # Where more slipped than not, it is refused.
     off_m = np.pad(0.02 * rng.normal(size=(60, 3)), ((0, 40), (0, 0)))
-    slipped_m = touches_m + off_m
-    for wrong in ((touches_m, far), (slipped_m, start)):
-        with pytest.raises(RegistrationError):
-            fit_surface(surface, *wrong)
+    with pytest.raises(RegistrationError):
+        fit_surface(surface, touches_m + off_m, start)
 
 
 def test_a_nearly_symmetric_organ_is_refused_half_a_turn_off():
