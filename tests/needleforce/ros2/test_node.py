@@ -4,7 +4,6 @@ import json
 import sys
 import time
 from importlib import import_module
-from types import SimpleNamespace
 
 import pytest
 
@@ -12,8 +11,7 @@ import urdf
 from needleforce import InsertionSession
 from needleforce.cli import main
 from needleforce.ros2 import MissingRosError, Ros2ParameterError, require_ros
-from needleforce.ros2.reports import layer_reports
-from tests.insertion_run import insert, short_run
+from tests.insertion_run import short_run
 from tests.needleforce.ros2.fake_ros import (
     Graph,
     Message,
@@ -135,27 +133,6 @@ def test_a_node_that_is_not_active_passes_joint_states_by(graph, updates):
     assert (wrench.header.stamp.sec, wrench.header.stamp.nanosec) == (1, 10**6)
 
 
-def test_external_torques_are_joined_by_name(graph, monkeypatch):
-    joined = []
-    synchronizer = SimpleNamespace(registerCallback=joined.append)
-    filters = SimpleNamespace(
-        Subscriber=lambda *_, **__: None, TimeSynchronizer=lambda *_: synchronizer
-    )
-    monkeypatch.setitem(sys.modules, "message_filters", filters)
-    given = []
-    monkeypatch.setattr(
-        InsertionSession,
-        "update_external_torque",
-        lambda self, *arguments: given.append(arguments) or self.update(*arguments),
-    )
-    start(graph, external_torque_topic="/torques")
-    efforts_Nm = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
-    torque = Message(name=list(JOINTS[::-1]), effort=efforts_Nm[::-1])
-    joined[0](state(1.0), torque)
-
-    assert given[0][2].tolist() == efforts_Nm
-
-
 def test_an_arm_that_never_came_is_an_error_in_the_diagnostics(graph):
     start(graph)
     max(graph.timers.items())[1]()
@@ -195,27 +172,6 @@ def test_a_parameter_that_does_not_exist_is_refused(graph):
 
 
 # Events, layers, services
-
-
-@pytest.mark.slow
-def test_an_insertion_is_events_and_layers(graph):
-    session = InsertionSession(short_run().robot)
-    estimates = insert(session)
-    [layer] = layer_reports(session.layers)
-
-    assert layer.name == "layer 1"
-    assert float(layer.values["stiffness_N_per_m"]) > 0.0
-    assert layer.values["is_final"] == "true"
-
-    node = start(graph)
-    event = next(one for one in estimates if one.identification.rupture is not None)
-    node._publish_events(event)  # its samples pass through the real node in test_in_ros
-    [message] = graph.published["/needleforce/events"]
-    values = {pair.key: pair.value for pair in message.status[0].values}
-    assert message.status[0].name == "rupture"
-    assert float(values["depth_m"]) == pytest.approx(
-        event.identification.rupture.depth_m
-    )
 
 
 def test_an_insertion_begins_only_after_a_tare(graph):
