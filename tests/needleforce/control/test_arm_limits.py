@@ -155,11 +155,3 @@ def test_impossible_limits_are_refused(wrong):
 def test_limits_of_another_robot_are_refused():
     with pytest.raises(SettingError, match="6 joints"):
         Controller(LWR, Limits.of_arm(ARMS["ur5e"][0], "ur5e"))
-
-
-def test_a_preset_moves_a_needle_slowly():
-    joints = Limits.of_arm(LWR, "lwr").joints
-
-    assert joints.speed_rad_s == pytest.approx(0.5, abs=1e-6)
-    assert joints.position_upper_rad == pytest.approx(LWR.position_upper_rad - 0.02)
-    assert Limits.of_arm(LWR, "lwr").tip_m_s == 0.1

@@ -20,7 +20,16 @@ from unittest import mock
 
 import numpy as np
 
-from needleforce.devices import Fr3Arm, FrankaArm, FriArm, IiwaArm, UrArm, franka, ur
+from needleforce.devices import (
+    Fr3Arm,
+    FrankaArm,
+    FriArm,
+    IiwaArm,
+    UrArm,
+    franka,
+    link,
+    ur,
+)
 from needleforce.devices.sunrise_messages import (
     MONITORING_KIND,
     POSITION_MODE,
@@ -348,6 +357,7 @@ def drive(name, end, path):
 if __name__ == "__main__":
     # A shell lets what it starts in the background ignore this signal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    link.SILENCE_S = 5.0  # a pause of this machine is no silence of an arm
     folder, *ends = sys.argv[1:]
     for kind, end in itertools.product(KINDS, ends):
         if os.fork() == 0:  # rather than importing all again

@@ -20,7 +20,6 @@ import pytest
 from needleforce import InsertionSession
 from needleforce.cli import main
 from needleforce.recordings import read_log
-from needleforce.ros2 import Ros2ParameterError
 from tests.insertion_run import cut, short_run
 
 pytestmark = [
@@ -204,31 +203,15 @@ def test_an_insertion_is_followed_by_the_node(arm):
     assert layer_values["is_final"] == "true"
 
 
-@pytest.fixture
-def start_ros():
-    """Starts ROS in this process, with a parameter for its nodes."""
-    import rclpy
+@pytest.mark.parametrize("setting", ["queue_depth:=0", "gain_per_s:=70"])
+def test_a_node_with_a_wrong_parameter_does_not_start(setting):
+    arguments = ("ros2", "--robot", "lwr", "--ros-args", "-p", setting)
+    done = subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=240
+    )
 
-    yield lambda setting: rclpy.init(args=["--ros-args", "-p", setting])
-    rclpy.try_shutdown()
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [
-        "queue_deph:=4",
-        "queue_depth:=0",
-        "gain_per_s:=.nan",
-        "gain_per_s:=70",
-        "reliable:=maybe",
-    ],
-)
-def test_a_node_with_a_wrong_parameter_does_not_start(start_ros, setting):
-    from needleforce.ros2.node import NeedleNode
-
-    start_ros(setting)
-    with pytest.raises(Ros2ParameterError, match=setting.partition(":")[0]):
-        NeedleNode(lambda wait: RUN.robot, lambda session: None)
+    assert done.returncode == 2
+    assert setting.partition(":")[0] in done.stderr
 
 
 def test_a_manager_configures_activates_and_deactivates_the_node(arm):
@@ -360,7 +343,7 @@ def test_an_arm_moves_and_stops_through_ros_2(controller):
 
 
 @pytest.mark.skipif(find_spec("message_filters") is None, reason="no message_filters")
-def test_external_torques_are_joined_with_states_of_their_stamp(start_ros, monkeypatch):
+def test_external_torques_are_joined_with_states_of_their_stamp(monkeypatch):
     import rclpy
     from sensor_msgs.msg import JointState
 
@@ -375,24 +358,27 @@ def test_external_torques_are_joined_with_states_of_their_stamp(start_ros, monke
     original = InsertionSession.update_external_torque
     monkeypatch.setattr(InsertionSession, "update_external_torque", update)
     values = [float(k) for k in range(7)]
-    start_ros("external_torque_topic:=/torques")
-    node = NeedleNode(lambda wait: RUN.robot, lambda session: None)
-    node.trigger_configure()
-    node.trigger_activate()
-    states = node.create_publisher(JointState, "joint_states", 10)
-    torques = node.create_publisher(JointState, "/torques", 10)
+    rclpy.init(args=["--ros-args", "-p", "external_torque_topic:=/torques"])
+    try:
+        node = NeedleNode(lambda wait: RUN.robot, lambda session: None)
+        node.trigger_configure()
+        node.trigger_activate()
+        states = node.create_publisher(JointState, "joint_states", 10)
+        torques = node.create_publisher(JointState, "/torques", 10)
 
-    def send(publisher, stamp_ms, names, **signals):
-        message = JointState(name=list(names), **signals)
-        message.header.stamp.nanosec = 10**6 * stamp_ms
-        publisher.publish(message)
+        def send(publisher, stamp_ms, names, **signals):
+            message = JointState(name=list(names), **signals)
+            message.header.stamp.nanosec = 10**6 * stamp_ms
+            publisher.publish(message)
 
-    for stamp_ms in (1, 2, 3, 5):
-        send(states, stamp_ms, JOINTS, position=values, velocity=[0.0] * 7)
-    for stamp_ms in (2, 4, 5):
-        send(torques, stamp_ms, JOINTS[::-1], effort=values[::-1])
-    end_s = time.monotonic() + 20.0
-    while len(taken) < 2 and time.monotonic() < end_s:
-        rclpy.spin_once(node, timeout_sec=0.1)
+        for stamp_ms in (1, 2, 3, 5):
+            send(states, stamp_ms, JOINTS, position=values, velocity=[0.0] * 7)
+        for stamp_ms in (2, 4, 5):
+            send(torques, stamp_ms, JOINTS[::-1], effort=values[::-1])
+        end_s = time.monotonic() + 20.0
+        while len(taken) < 2 and time.monotonic() < end_s:
+            rclpy.spin_once(node, timeout_sec=0.1)
+    finally:
+        rclpy.try_shutdown()
 
     assert taken == [(values, values, 0.0), (values, values, 0.003)]
