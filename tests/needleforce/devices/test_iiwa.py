@@ -54,14 +54,19 @@ GOLDEN_ANSWER = bytes.fromhex(ANSWER_HEAD + ANSWER_JOINTS)
 """The first answer to either: reflects 300, commands 1.5, 1.25, ..."""
 
 
-@pytest.mark.parametrize("data", [GOLDEN_1, GOLDEN_2])
-def test_a_golden_message_is_read_and_answered(data, box):
+@pytest.fixture
+def arm():
     with IiwaArm(port=0) as arm:
-        arm.session = Session.COMMANDING_WAIT  # of a message before
-        box.sendto(data, arm.address)
-        reading = next(iter(arm))
+        yield arm
 
-        assert box.recv(2048) == GOLDEN_ANSWER
+
+@pytest.mark.parametrize("data", [GOLDEN_1, GOLDEN_2])
+def test_a_golden_message_is_read_and_answered(data, box, arm):
+    arm.session = Session.COMMANDING_WAIT  # of a message before
+    box.sendto(data, arm.address)
+    reading = next(iter(arm))
+
+    assert box.recv(2048) == GOLDEN_ANSWER
 
     assert reading.q_rad.tolist() == [0.5, 0.625, 0.75, 0.875, 1.0, 1.125, 1.25]
     assert reading.tau_Nm.tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
@@ -71,18 +76,17 @@ def test_a_golden_message_is_read_and_answered(data, box):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_while_it_monitors_version_1_has_its_own_position_back(version, box):
+def test_while_it_monitors_version_1_has_its_own_position_back(version, box, arm):
     data = (GOLDEN_1, GOLDEN_2)[version - 1]
     message = message_type("Monitoring").FromString(data)
     message.connection.session = Session.MONITORING_READY
     message.connection.answer_cycles = 2
-    with IiwaArm(port=0) as arm:
-        readings = iter(arm)
-        for number in (300, 301):
-            message.header.number = number
-            box.sendto(message.SerializeToString(), arm.address)
-            assert not next(readings).accepts_commands
-        answer = message_type("Command").FromString(box.recv(2048))
+    readings = iter(arm)
+    for number in (300, 301):
+        message.header.number = number
+        box.sendto(message.SerializeToString(), arm.address)
+        assert not next(readings).accepts_commands
+    answer = message_type("Command").FromString(box.recv(2048))
 
     assert answer.header.reflected == 301  # only every second one is answered
     told = list(answer.wanted.position_rad.value)
@@ -111,13 +115,12 @@ def broken(place, value):
         iiwa_message(program_rad=[0.0] * 8),
     ],
 )
-def test_what_is_no_message_is_refused(data, box):
-    with IiwaArm(port=0) as arm:
-        box.sendto(data, arm.address)
-        box.sendto(iiwa_message(), arm.address)
+def test_what_is_no_message_is_refused(data, box, arm):
+    box.sendto(data, arm.address)
+    box.sendto(iiwa_message(), arm.address)
 
-        assert next(iter(arm)).dt_s == 0.002
-        assert arm.report.malformed == 1
+    assert next(iter(arm)).dt_s == 0.002
+    assert arm.report.malformed == 1
 
 
 @pytest.fixture
