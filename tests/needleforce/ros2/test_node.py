@@ -182,14 +182,6 @@ def test_an_insertion_begins_only_after_a_tare(graph):
     assert "~/tare" in answer.message
 
 
-def test_shutting_the_node_down_ends_it(graph):
-    node = start(graph)
-    assert not node.is_stopped
-    node.on_shutdown(None)
-
-    assert node.is_stopped
-
-
 def test_a_missing_ros_is_an_error_that_names_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "rclpy", None)
 
