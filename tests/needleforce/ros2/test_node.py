@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from importlib import import_module
+from types import SimpleNamespace
 
 import pytest
 
@@ -131,6 +132,27 @@ def test_a_node_that_is_not_active_passes_joint_states_by(graph, updates):
     [wrench] = graph.published["/needleforce/wrench"]
     assert wrench.header.frame_id == short_run().robot.tool_frame
     assert (wrench.header.stamp.sec, wrench.header.stamp.nanosec) == (1, 10**6)
+
+
+def test_external_torques_are_joined_by_name(graph, monkeypatch):
+    joined = []
+    synchronizer = SimpleNamespace(registerCallback=joined.append)
+    filters = SimpleNamespace(
+        Subscriber=lambda *_, **__: None, TimeSynchronizer=lambda *_: synchronizer
+    )
+    monkeypatch.setitem(sys.modules, "message_filters", filters)
+    given = []
+    monkeypatch.setattr(
+        InsertionSession,
+        "update_external_torque",
+        lambda self, *arguments: given.append(arguments) or self.update(*arguments),
+    )
+    start(graph, external_torque_topic="/torques")
+    efforts_Nm = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    torque = Message(name=list(JOINTS[::-1]), effort=efforts_Nm[::-1])
+    joined[0](state(1.0), torque)
+
+    assert given[0][2].tolist() == efforts_Nm
 
 
 def test_an_arm_that_never_came_is_an_error_in_the_diagnostics(graph):
