@@ -271,15 +271,15 @@ SLIPS_m = np.pad([0.015, -0.008, 0.02], (36, 1))
         # Last touches that slipped are no patient who moved.
         ({"pressed_m": 1.5e-3, "slips_m": SLIPS_m}, 3.5, 1),
         # One who moves is found, or covered.
-        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.0, 0.01)}, 9.0, 9),
-        ({"pressed_m": 1.5e-3, "move_m": (0.01, 0.0, 0.0), "first": 20}, 9.0, 9),
-        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.005, 0.0)}, 6.0, 9),
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.0, 0.01)}, 9.0, 6),
+        ({"pressed_m": 1.5e-3, "move_m": (0.01, 0.0, 0.0), "first": 20}, 9.0, 6),
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.005, 0.0)}, 6.0, 6),
     ],
 )
 def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refused):
     rng = np.random.default_rng(1000)
     errors_m, inside, refusals = [], [], []
-    for _ in range(9):
+    for _ in range(6):
         landmarks_m, touches_m, target_m = touch(rng, **case)
         try:
             rough, fit = fit_both(landmarks_m, touches_m)
@@ -289,7 +289,7 @@ def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refu
         places_m = [one.to_robot(INSIDE_m) for one in (rough, fit)]
         errors_m.append(np.linalg.norm(np.array(places_m) - target_m, axis=1))
         inside.append(fit.region_contains(INSIDE_m, target_m))
-        if refused < 9:
+        if refused < 6:
             assert fit.indentation_m == pytest.approx(case["pressed_m"], abs=1.5e-3)
             assert 0.1e-3 < fit.indentation_std_m < 1e-3
             assert 0.2e-3 < fit.residual_rms_m < 8e-3
@@ -301,7 +301,7 @@ def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refu
     if errors_m:
         alone_m, together_m = np.sqrt(np.mean(np.square(errors_m), axis=0))
         assert 1e3 * np.max(np.array(errors_m)[:, 1]) < worst_mm
-        assert refused == 9 or together_m < 1.1 * alone_m
+        assert refused == 6 or together_m < 1.1 * alone_m
 
 
 BALL = trimesh.creation.icosphere(4, 0.06)
