@@ -148,24 +148,25 @@ def test_foreign_datagrams_never_reach_a_force_sensor(box):
         assert box.link.report.used == 0
 
 
-@pytest.fixture
-def page(tmp_path):
-    """The page of a sensor."""
-    return tmp_path / "netftapi2.xml"
+COUNTS = "<calcpf>1000</calcpf><calcpt>2000</calcpt>"
 
 
 @pytest.mark.parametrize(
-    ("units", "word"),
+    ("content", "word"),
     [
-        ("<scalfu>N</scalfu><scaltu>N-m</scaltu>", None),
-        ("", None),
-        ("<scalfu></scalfu>", "scalfu"),
-        ("<scalfu>lbf</scalfu>", "lbf"),
-        ("<scalfu>N</scalfu><scaltu>N-mm</scaltu>", "N-mm"),
+        (f"<scalfu>N</scalfu><scaltu>N-m</scaltu>{COUNTS}", None),
+        (COUNTS, None),
+        (f"<scalfu></scalfu>{COUNTS}", "scalfu"),
+        (f"<scalfu>lbf</scalfu>{COUNTS}", "lbf"),
+        (f"<scalfu>N</scalfu><scaltu>N-mm</scaltu>{COUNTS}", "N-mm"),
+        ("<ft>", "counts"),
+        ("", "counts"),
+        ("<calcpf>many</calcpf>", "counts"),
     ],
 )
-def test_counts_per_other_units_are_refused(units, word, page):
-    page.write_text(f"<ft>{units}<calcpf>1000</calcpf><calcpt>2000</calcpt></ft>")
+def test_a_page_without_counts_or_of_other_units_is_refused(content, word, tmp_path):
+    page = tmp_path / "netftapi2.xml"
+    page.write_text(f"<ft>{content}</ft>")
     if word is None:
         with closing(Box(page.as_uri())) as box:
             box.send(GOLDEN_RECORD)
@@ -173,13 +174,6 @@ def test_counts_per_other_units_are_refused(units, word, page):
     else:
         with pytest.raises(LinkError, match=word):
             NetFT(scale=page.as_uri())
-
-
-@pytest.mark.parametrize("text", ["<ft>", "<ft/>", "<ft><calcpf>many</calcpf></ft>"])
-def test_a_page_without_counts_is_refused(text, page):
-    page.write_text(text)
-    with pytest.raises(LinkError, match="counts"):
-        NetFT(scale=page.as_uri())
 
 
 @pytest.mark.parametrize(
