@@ -10,7 +10,10 @@ pytestmark = pytest.mark.slow
 
 
 def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("needleforce.simulation.patient.SPEED_m_s", 6e-3)
+    monkeypatch.setattr("needleforce.simulation.patient.SPEED_m_s", 10e-3)
+    monkeypatch.setattr(
+        "needleforce.simulation.torso_case.SPACING_m", (4e-3, 4e-3, 5e-3)
+    )
 
     assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
 

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import SimpleITK
 
@@ -237,39 +238,30 @@ def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(capsys, fie
 
 
 def test_lists_of_other_programs_register_as_those_of_ours(capsys, fields):
+    """They say neither unit nor frame: both are asked for."""
     markup = read_markup("patient/landmarks.mrk.json")
     touched = load("touches.json")
-    slicers = ["# CoordinateSystem = RAS", "# columns = id,x,y,z,vis,label"]
-    table = ["name,x_mm,y_mm,z_mm"]
-    for name, point_m in zip(markup.names, markup.points_m, strict=True):
-        x_mm, y_mm, z_mm = 1e3 * point_m * [-1.0, -1.0, 1.0]
+    landmarks_mm = 1e3 * markup.points_m * [-1.0, -1.0, 1.0]
+    slicers = ["# columns = id,x,y,z,vis,label"]
+    for name, (x_mm, y_mm, z_mm) in zip(markup.names, landmarks_mm, strict=True):
         slicers.append(f"1,{x_mm:.4f},{y_mm:.4f},{z_mm:.4f},1,{name}")
-    places = [(one["name"], one["place_m"]) for one in touched["landmarks"]]
-    for name, place_m in [
-        *places,
-        *(("", place_m) for place_m in touched["touches_m"]),
-    ]:
-        x_mm, y_mm, z_mm = 1e3 * np.array(place_m)
-        table.append(f"{name},{x_mm:.4f},{y_mm:.4f},{z_mm:.4f}")
     Path("points.fcsv").write_text("\n".join(slicers), encoding="utf-8")
-    Path("unsaid.fcsv").write_text("\n".join(slicers[1:]), encoding="utf-8")
-    Path("touched.csv").write_text("\n".join(table), encoding="utf-8")
-    Path("unsaid.csv").write_text("\n".join(table).replace("_mm", ""), encoding="utf-8")
-    lists = {
-        ("points.fcsv", "touched.csv"): "",
-        ("unsaid.fcsv", "unsaid.csv"): "--unit mm --frame ras",
-    }
-    for files, options in lists.items():
-        obey(f"{REGISTER.format(*files)} {options} -o listed.json")
-        place_m = load("listed.json")["registration"]["target_in_base_m"]
-        expected_m = fields["registration"]["target_in_base_m"]
-        np.testing.assert_allclose(place_m, expected_m, atol=1e-5)
-    unsaid = REGISTER.format("unsaid.fcsv", "unsaid.csv")
-    assert "--unit" in run(capsys, f"{unsaid} --frame ras")
-    assert "--frame" in run(capsys, f"{unsaid} --unit mm")
-    assert "base" in run(capsys, REGISTER.format("points.fcsv", "points.fcsv"))
-    Path("lost.csv").write_text("\n".join([*table, ",nan,0,0"]), encoding="utf-8")
-    assert "lost.csv" in run(capsys, REGISTER.format("points.fcsv", "lost.csv"))
+    places = [(one["name"], *one["place_m"]) for one in touched["landmarks"]]
+    places += [("", *place_m) for place_m in touched["touches_m"]]
+    table = pd.DataFrame(places, columns=["name", "x", "y", "z"])
+    table[["x", "y", "z"]] *= 1e3
+    table.to_csv("touched.csv", index=False, float_format="%.4f")
+    line = REGISTER.format("points.fcsv", "touched.csv")
+    obey(f"{line} --unit mm --frame ras -o listed.json")
+    place_m = load("listed.json")["registration"]["target_in_base_m"]
+    expected_m = fields["registration"]["target_in_base_m"]
+
+    np.testing.assert_allclose(place_m, expected_m, atol=1e-5)
+    assert "--unit" in run(capsys, f"{line} --frame ras")
+    assert "--frame" in run(capsys, f"{line} --unit mm")
+    in_ct = "\n".join(["# CoordinateSystem = RAS", *slicers])
+    Path("ct.fcsv").write_text(in_ct, encoding="utf-8")
+    assert "base" in run(capsys, REGISTER.format("ct.fcsv", "ct.fcsv"))
 
 
 @pytest.mark.parametrize(

@@ -485,36 +485,6 @@ POINTS = (
 )
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "first_mm"),
-    [
-        ("LPS", "LPS", [10, 20, 30]),
-        ("LPS", "RAS", [-10, -20, 30]),
-        ('"LPS"', "0", [-10, -20, 30]),
-        ('"LPS"', "1", [10, 20, 30]),
-        ('"mm"', '"cm"', [100, 200, 300]),
-        ("LPS", "IJK", None),
-        ("coordinateSystem", "axes", None),
-        ('"mm"', '"inch"', None),
-        ('"c"', '"1"', None),
-        ("[10.0,", "[1e999,", None),
-        ('"markups": [', '"markups": [{},', None),
-        ("position", "place", None),
-        ("markups", "points", None),
-        ("{", "", None),
-    ],
-)
-def test_points_of_slicer_lie_in_the_stated_frame_and_unit(
-    tmp_path, old, new, first_mm
-):
-    path = tmp_path / "points.mrk.json"
-    path.write_text(POINTS.replace(old, new), encoding="utf-8")
-    with made.refused_if(first_mm is None, "points"):
-        markup = read_markup(path)
-        assert (markup.names, markup.is_line) == (("1", "c"), False)
-        np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
-
-
 FCSV = """\
 # Markups fiducial file version = 4.11
 # CoordinateSystem = LPS
@@ -525,9 +495,31 @@ FCSV = """\
 TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
 
 
+NAMES_OF_POINTS = {
+    ".mrk.json": ("1", "c"),
+    ".fcsv": ("rib, right", "navel"),
+    ".csv": ("rib", "2"),
+    ".txt": ("rib", "2"),
+}
+
+
 @pytest.mark.parametrize(
     ("name", "text", "first_mm"),
     [
+        ("a.mrk.json", POINTS, [10, 20, 30]),
+        ("a.mrk.json", POINTS.replace("LPS", "RAS"), [-10, -20, 30]),
+        ("a.mrk.json", POINTS.replace('"LPS"', "0"), [-10, -20, 30]),
+        ("a.mrk.json", POINTS.replace('"LPS"', "1"), [10, 20, 30]),
+        ("a.mrk.json", POINTS.replace('"mm"', '"cm"'), [100, 200, 300]),
+        ("a.mrk.json", POINTS.replace("LPS", "IJK"), None),
+        ("a.mrk.json", POINTS.replace("coordinateSystem", "axes"), None),
+        ("a.mrk.json", POINTS.replace('"mm"', '"inch"'), None),
+        ("a.mrk.json", POINTS.replace('"c"', '"1"'), None),
+        ("a.mrk.json", POINTS.replace("[10.0,", "[1e999,"), None),
+        ("a.mrk.json", POINTS.replace('"markups": [', '"markups": [{},'), None),
+        ("a.mrk.json", POINTS.replace("position", "place"), None),
+        ("a.mrk.json", POINTS.replace("markups", "points"), None),
+        ("a.mrk.json", POINTS.replace("{", ""), None),
         ("a.fcsv", FCSV, [10, 20, 30.5]),
         ("a.fcsv", FCSV.replace("LPS", "1"), [10, 20, 30.5]),
         ("a.fcsv", FCSV.replace("LPS", "0"), [-10, -20, 30.5]),
@@ -568,15 +560,12 @@ TABLE_OF_POINTS = "name,x_lps_mm,y_lps_mm,z_lps_mm\nrib,10,20,30.5\n,1,2,3\n"
         ("a.mrk.json", "[" * 20_000, None),
     ],
 )
-def test_points_of_a_table_lie_in_the_stated_frame_and_unit(
-    tmp_path, name, text, first_mm
-):
+def test_points_lie_in_the_stated_frame_and_unit(tmp_path, name, text, first_mm):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     with made.refused_if(first_mm is None, name):
         markup = read_markup(path)
-        assert len(markup.names) == 2
-        assert markup.names[0].startswith("rib")
+        assert (markup.names, markup.is_line) == (NAMES_OF_POINTS[name[1:]], False)
         np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
 
 
@@ -650,9 +639,26 @@ def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
     np.testing.assert_allclose(1e3 * np.array(places_m), expected_mm, atol=1e-9)
 
 
+NO_RIGID_MOTIONS = [
+    (transform(1.01 * TURN), "1.01"),
+    (transform(np.diag([-1.0, 1.0, 1.0])), "mirror"),
+    (transform([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), None),
+    (transform(TURN, (2e4, 0.0, 0.0)), "millimetres"),
+    (SimpleITK.BSplineTransform(3), "BSpline"),
+    (SimpleITK.Euler2DTransform(), "three"),
+    (None, "cannot read"),
+    ("no transform", "cannot read"),
+]
+
+
 @pytest.mark.parametrize(
-    ("name", "text", "word"),
+    ("name", "content", "word"),
     [
+        *(
+            (n, content, why)
+            for n in ("a.h5", "a.tfm")
+            for content, why in NO_RIGID_MOTIONS
+        ),
         ("a.txt", "1 0 0 0.5\n0 1 0 0.2\n0 0 1 0.1\n0 0 0 1", "--unit"),
         ("a.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n500 200 100 1", "0 0 0 1"),
         ("a.txt", "1 0 0 500\n0 1 0 200\n0 0 1 100", "0 0 0 1"),
@@ -668,33 +674,11 @@ def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
         ("none.json", None, "none"),
     ],
 )
-def test_text_that_is_no_rigid_matrix_is_refused(tmp_path, capfd, name, text, word):
-    if text is not None:
-        (tmp_path / name).write_text(text, encoding="utf-8")
+def test_files_without_a_rigid_motion_are_refused(tmp_path, capfd, name, content, word):
+    if isinstance(content, str):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    elif content is not None:
+        SimpleITK.WriteTransform(content, str(tmp_path / name))
     with pytest.raises(VolumeError, match=word):
-        read_transform(tmp_path / name, "itk")
-    assert capfd.readouterr().err == ""
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        (transform(1.01 * TURN), "1.01"),
-        (transform(np.diag([-1.0, 1.0, 1.0])), "mirror"),
-        (transform([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), None),
-        (transform(TURN, (2e4, 0.0, 0.0)), "millimetres"),
-        (SimpleITK.BSplineTransform(3), "BSpline"),
-        (SimpleITK.Euler2DTransform(), "three"),
-        (None, "cannot read"),
-        ("no transform", "cannot read"),
-    ],
-)
-@pytest.mark.parametrize("name", ["a.h5", "a.tfm"])
-def test_files_without_a_rigid_motion_are_refused(tmp_path, capfd, name, wrong, why):
-    if isinstance(wrong, str):
-        (tmp_path / name).write_text(wrong, encoding="utf-8")
-    elif wrong is not None:
-        SimpleITK.WriteTransform(wrong, str(tmp_path / name))
-    with pytest.raises(VolumeError, match=why):
         read_transform(tmp_path / name, "itk")
     assert capfd.readouterr().err == ""

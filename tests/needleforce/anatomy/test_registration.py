@@ -271,15 +271,15 @@ SLIPS_m = np.pad([0.015, -0.008, 0.02], (36, 1))
         # Last touches that slipped are no patient who moved.
         ({"pressed_m": 1.5e-3, "slips_m": SLIPS_m}, 3.5, 1),
         # One who moves is found, or covered.
-        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.0, 0.01)}, 9.0, 9),
-        ({"pressed_m": 1.5e-3, "move_m": (0.01, 0.0, 0.0), "first": 20}, 9.0, 9),
-        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.005, 0.0)}, 6.0, 9),
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.0, 0.01)}, 9.0, 6),
+        ({"pressed_m": 1.5e-3, "move_m": (0.01, 0.0, 0.0), "first": 20}, 9.0, 6),
+        ({"pressed_m": 1.5e-3, "move_m": (0.0, 0.005, 0.0)}, 6.0, 6),
     ],
 )
 def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refused):
     rng = np.random.default_rng(1000)
     errors_m, inside, refusals = [], [], []
-    for _ in range(9):
+    for _ in range(6):
         landmarks_m, touches_m, target_m = touch(rng, **case)
         try:
             rough, fit = fit_both(landmarks_m, touches_m)
@@ -289,7 +289,7 @@ def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refu
         places_m = [one.to_robot(INSIDE_m) for one in (rough, fit)]
         errors_m.append(np.linalg.norm(np.array(places_m) - target_m, axis=1))
         inside.append(fit.region_contains(INSIDE_m, target_m))
-        if refused < 9:
+        if refused < 6:
             assert fit.indentation_m == pytest.approx(case["pressed_m"], abs=1.5e-3)
             assert 0.1e-3 < fit.indentation_std_m < 1e-3
             assert 0.2e-3 < fit.residual_rms_m < 8e-3
@@ -301,7 +301,7 @@ def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refu
     if errors_m:
         alone_m, together_m = np.sqrt(np.mean(np.square(errors_m), axis=0))
         assert 1e3 * np.max(np.array(errors_m)[:, 1]) < worst_mm
-        assert refused == 9 or together_m < 1.1 * alone_m
+        assert refused == 6 or together_m < 1.1 * alone_m
 
 
 BALL = trimesh.creation.icosphere(4, 0.06)
@@ -344,24 +344,18 @@ def touch_part(name, rng, outliers):
 def test_touches_find_the_surface_among_those_that_slipped():
     rng = np.random.default_rng(2)
     inside = []
-    for number in range(12):
+    for _ in range(6):
         surface, touches_m, start, shift_m = touch_part("organ", rng, 0.1)
-        fit = fit_surface(surface, touches_m, start, check=number == 0)
+        fit = fit_surface(surface, touches_m, start, check=False)
         assert np.linalg.norm(fit.to_robot(np.zeros(3)) - shift_m) < 1e-3
         assert 0.1e-3 < fit.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
         inside.append(fit.region_contains(np.zeros(3), shift_m))
 
     assert np.mean(inside) > 0.8
-    # Half a turn away, or where as many slipped, it is refused.
-    turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_matrix()
-    middle_m = touches_m.mean(axis=0)
-    place_m = turn @ (start.translation_m - middle_m) + middle_m
-    far = replace(start, rotation=turn @ start.rotation, translation_m=place_m)
+    # Where more slipped than not, it is refused.
     off_m = np.pad(0.02 * rng.normal(size=(60, 3)), ((0, 40), (0, 0)))
-    slipped_m = touches_m + off_m
-    for wrong in ((touches_m, far), (slipped_m, start)):
-        with pytest.raises(RegistrationError):
-            fit_surface(surface, *wrong)
+    with pytest.raises(RegistrationError):
+        fit_surface(surface, touches_m + off_m, start)
 
 
 def test_a_nearly_symmetric_organ_is_refused_half_a_turn_off():

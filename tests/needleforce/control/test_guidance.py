@@ -211,21 +211,21 @@ def test_a_stiff_arm_does_not_answer_its_own_acceleration():
     assert np.abs(jumps_rad_s2).max() < 2.0  # from cycle to cycle; the limit is 20
 
 
-POSTURES = {
-    "ur5e": [0.0, -1.2, 1.6, -1.9, -1.57, 0.0],
-    "panda": [0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8],
-    "fr3": [0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8],
-}
 MAX_TIP_m_s = 0.25
-
-
-def load_arm(name):
-    """Return an arm, and its limits: of "fr3" those of a real arm."""
-    if name == "fr3":
-        robot = load_example("panda", without=["panda_hand"], payload=NeedleTool())
-        return robot, Limits.of_arm(robot, "fr3", tip_m_s=MAX_TIP_m_s)
-    robot = load_example(name, payload=NeedleTool())
-    return robot, Limits(robot, tip_m_s=MAX_TIP_m_s)
+UR5E = load_example("ur5e", payload=NeedleTool())
+PANDA = load_example("panda", without=["panda_hand"], payload=NeedleTool())
+ARMS = {
+    "ur5e": (
+        UR5E,
+        Limits(UR5E, tip_m_s=MAX_TIP_m_s),
+        (0.0, -1.2, 1.6, -1.9, -1.57, 0.0),
+    ),
+    "fr3": (
+        PANDA,
+        Limits.of_arm(PANDA, "fr3", tip_m_s=MAX_TIP_m_s),
+        (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8),
+    ),
+}
 
 
 def lead(name, force_at, seconds):
@@ -234,10 +234,10 @@ def lead(name, force_at, seconds):
     ``force_at`` returns the hand's force [N] from the tip's displacement and velocity.
     Returns displacements [m], velocities [m/s] and forces [N] of the tip.
     """
-    robot, limits = load_arm(name)
+    robot, limits, posture_rad = ARMS[name]
     guidance = Guidance(robot)
     controller = Controller(robot, limits)
-    arm = LateArm(robot, POSTURES[name])
+    arm = LateArm(robot, posture_rad)
     start_m = arm.tool.tip_m
     late = deque([np.zeros(robot.nv)] * 10)
     tip_m_s = np.zeros(3)
@@ -267,7 +267,7 @@ def test_the_formula_gives_an_lwr_about_what_was_found_for_it():
     assert (found / by_formula).max() < 2.0
 
 
-@pytest.mark.parametrize("name", POSTURES)
+@pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("push_N", [5.0, 20.0])
 def test_a_hand_moves_the_needle_at_a_bounded_speed(name, push_N):
     pushed_N = np.array([0.0, push_N, 0.0])
@@ -277,7 +277,7 @@ def test_a_hand_moves_the_needle_at_a_bounded_speed(name, push_N):
     assert (speed_m_s @ pushed_N).min() >= 0.0  # it never pushes back
 
 
-@pytest.mark.parametrize("name", POSTURES)
+@pytest.mark.parametrize("name", ARMS)
 def test_a_hand_of_500_N_per_m_leads_and_does_not_swing(name):
     goal_m = np.array([0.0, 0.05, 0.0])
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleforce import InsertionSession
@@ -108,6 +108,7 @@ def act(manager, sensor, action):
     )
 
 
+@settings(max_examples=50)
 @given(st.lists(ACTIONS, max_size=30))
 def test_whatever_happens_is_in_the_log_and_follows_from_it(tmp_path_factory, actions):
     path = tmp_path_factory.mktemp("log") / "events.jsonl"

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from groundtruth import SimulatedArm
-from needleforce import InsertionSession
 from needleforce.control import ControlError, Limits, SettingError, tare_with_stroke
 from residual import TareError
 from tests.needleforce.control.late_arm import LateArm
@@ -89,19 +87,3 @@ def test_a_tare_that_is_refused_raises():
     with pytest.raises(TareError, match="contact"):
         tare(arm, refuses=True)
     assert not arm.sent[-1].any()
-
-
-@pytest.mark.slow
-def test_one_call_moves_the_arm_and_tares():
-    arm = SimulatedArm(plant="clean", seed=3, duration_s=20.0)
-    session = InsertionSession(arm.robot)
-    tare_with_stroke(arm, session, Limits(arm.robot), **QUICK)
-
-    assert session.tared
-    for _, sample in zip(range(200), arm, strict=False):
-        arm.send(np.zeros(7))
-        estimate = session.update(
-            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
-        )
-    assert abs(estimate.wrench.axial) < 2.0 * estimate.wrench.axial_std
-    assert estimate.wrench.axial_std < 0.5

@@ -55,7 +55,7 @@ def advancing(speed_m_s, travel_m):
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.01, 0.05])
 @pytest.mark.parametrize("plant", PLANTS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_hand_gets_no_more_energy_than_it_gave(plant, delay_s, seed):
     rng = np.random.default_rng([seed, *plant.encode(), round(1e3 * delay_s)])
     scale = float(rng.choice([0.1, 0.2, 0.4, 1.0]))
@@ -96,7 +96,7 @@ def test_energy_is_observed_where_the_encoder_is(every):
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.05])
 @pytest.mark.parametrize(("chance", "least", "most"), [(0.3, 1, 4), (0.01, 10, 18)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, seed):
     rng = np.random.default_rng([seed, least])
     master = HapticMaster(random_operator(advancing(20e-3, 30e-3), rng))
@@ -196,14 +196,15 @@ def hand_that_stops_dead(t_s, travel_m, seconds):
 @pytest.mark.parametrize("hand", [quick_hand, hand_that_stops_dead])
 @pytest.mark.parametrize("stiffness_N_per_m", [0.0, 300.0])
 @pytest.mark.parametrize("speed_limit_m_s", [0.005, 0.02, 0.1])
-@pytest.mark.parametrize("scale", [0.4, 1.0])
-@pytest.mark.parametrize(("travel_m", "seconds"), [(0.06, 0.3), (0.1, 0.5)])
+@pytest.mark.parametrize(
+    ("scale", "travel_m", "seconds"), [(0.4, 0.06, 0.3), (1.0, 0.1, 0.5)]
+)
 def test_the_needle_stands_when_a_quick_hand_stands(
     travel_m, seconds, scale, speed_limit_m_s, stiffness_N_per_m, hand
 ):
     """Within a millimetre, an arm that is 5 ms late."""
     tele = teleoperate(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
-    times_s = DT * np.arange(round((seconds + 1.5) / DT))
+    times_s = DT * np.arange(round((seconds + 0.7) / DT))
     samples = [handle(*hand(t_s, travel_m, seconds)) for t_s in times_s]
     spring_N = lambda depth_m, speed_m_s: (  # noqa: E731
         stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)

@@ -1,12 +1,13 @@
 """Arms whose controllers are scripts: they keep every velocity that they are told.
 
 The clients of Franka and UR are replaced by objects that do what the drivers call. As a
-program, ``scripted_arms.py END FOLDER``, each kind is driven by a process of its own
+program, ``scripted_arms.py FOLDER END...``, each kind is driven by a process of its own
 until that ends by an error, or by a signal; what the arm was told is written into a
-file in the folder.
+file in the folder, for each way to end.
 """
 
 import atexit
+import itertools
 import os
 import signal
 import socket
@@ -19,7 +20,16 @@ from unittest import mock
 
 import numpy as np
 
-from needleforce.devices import Fr3Arm, FrankaArm, FriArm, IiwaArm, UrArm, franka, ur
+from needleforce.devices import (
+    Fr3Arm,
+    FrankaArm,
+    FriArm,
+    IiwaArm,
+    UrArm,
+    franka,
+    link,
+    ur,
+)
 from needleforce.devices.sunrise_messages import (
     MONITORING_KIND,
     POSITION_MODE,
@@ -184,14 +194,12 @@ class Lwr(ScriptedArm):
 class Iiwa(Lwr):
     preset = "iiwa14"
     open_link = IiwaArm
+    fault = MappingProxyType({"quality": Quality.FAIR})  # unless all is good
 
     def message(self):
-        return iiwa_message(
-            self.count,
-            place_rad=self.place_rad,
-            quality=Quality.EXCELLENT if self.is_good else Quality.FAIR,
-            program_rad=self.begun_rad,
-        )
+        fault = {} if self.is_good else self.fault
+        places_rad = {"place_rad": self.place_rad, "program_rad": self.begun_rad}
+        return iiwa_message(self.count, **places_rad, **fault)
 
     def read(self, data):
         command = message_type("Command").FromString(data)
@@ -349,9 +357,10 @@ def drive(name, end, path):
 if __name__ == "__main__":
     # A shell lets what it starts in the background ignore this signal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    for kind in KINDS:
-        pid = os.fork()  # rather than importing all again
-        if pid == 0:
-            drive(kind, sys.argv[1], f"{sys.argv[2]}/{kind}.npy")
+    link.SILENCE_S = 5.0  # a pause of this machine is no silence of an arm
+    folder, *ends = sys.argv[1:]
+    for kind, end in itertools.product(KINDS, ends):
+        if os.fork() == 0:  # rather than importing all again
+            drive(kind, end, f"{folder}/{kind}-{end}.npy")
             break
-        os.waitpid(pid, 0)
+        os.wait()

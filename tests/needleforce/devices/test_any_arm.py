@@ -7,7 +7,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from groundtruth import SimulatedArm
 from needleforce.control import Controller, Limits, Posture, SettingError
 from needleforce.devices import Emulator, FriArm, FriSettings, LinkError, emulate_fri
 from tests.needleforce.devices.scripted_arms import KINDS
@@ -63,10 +62,3 @@ def test_an_arm_without_a_limit_of_the_jerk_is_refused(name):
         Controller(robot, Limits.of_arm(robot, scripted.arm.preset)),
     ):
         assert allowed.update(reading, tasks).reason == ""
-
-
-def test_a_simulated_arm_needs_no_limit_of_the_jerk():
-    arm = SimulatedArm(plant="clean", duration_s=0.1)
-    controller = Controller(arm.robot, Limits(arm.robot))
-
-    assert controller.update(next(arm), [Posture(arm.home_rad)]).reason == ""

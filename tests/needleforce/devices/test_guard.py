@@ -1,5 +1,6 @@
 """What arms are sent: never a step above their speed, acceleration and jerk."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 from needleforce.devices import ARM_LIMITS, LinkError
 from needleforce.devices.guard import Guard
+from needleforce.devices.sunrise_messages import Quality
 from tests.needleforce.devices.scripted_arms import KINDS
 from urdf import load_example, load_lwr
 
@@ -41,9 +43,9 @@ def test_whatever_is_asked_for_keeps_the_limits(name, kind):
     rng = np.random.default_rng(1000)
     joints = len(preset.speed_rad_s)
     wishes_rad_s = {
-        "random": rng.uniform(-2.5, 2.5, (3000, joints)),
-        "tiny": 1e-9 * rng.standard_normal((3000, joints)),
-        "alternating": np.tile([[-2.5], [2.5]], (1500, joints)),
+        "random": rng.uniform(-2.5, 2.5, (1500, joints)),
+        "tiny": 1e-9 * rng.standard_normal((1500, joints)),
+        "alternating": np.tile([[-2.5], [2.5]], (750, joints)),
     }
     guard = Guard(preset, preset.cycle_s)
     q_rad = np.zeros(joints)
@@ -56,7 +58,7 @@ def test_whatever_is_asked_for_keeps_the_limits(name, kind):
         q_rad = q_rad + preset.cycle_s * sent[-1]
 
     guard.brake()
-    while not guard.is_at_rest and len(sent) < 5000:
+    while not guard.is_at_rest and len(sent) < 3500:
         sent.append(guard.advance(q_rad))
         q_rad = q_rad + preset.cycle_s * sent[-1]
 
@@ -65,7 +67,7 @@ def test_whatever_is_asked_for_keeps_the_limits(name, kind):
     assert kind == "tiny" or np.ptp(sent) > 0.1
 
 
-@pytest.mark.parametrize("start_rad_s", [0.1, 0.5, 1.5, 5.0])
+@pytest.mark.parametrize("start_rad_s", [0.5, 5.0])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_an_fr3_keeps_its_speed_limits_near_the_stops(start_rad_s, side):
     """Numbers of the vendor's URDF: |dq| <= sqrt(2 D room) - O."""
@@ -77,7 +79,7 @@ def test_an_fr3_keeps_its_speed_limits_near_the_stops(start_rad_s, side):
     q_rad = 0.5 * (upper + lower)
     rng = np.random.default_rng(1000)
     sent = []
-    for _ in range(8_000 if start_rad_s > 0.1 else 25_000):
+    for _ in range(6_000):
         assert guard.want(np.full(7, side * start_rad_s))
         measured_rad = q_rad + 1e-6 * rng.standard_normal(7)
         dq_rad_s = guard.advance(measured_rad)
@@ -168,17 +170,17 @@ def drive_fast(scripted, speed_rad_s=0.3):
     assert scripted.sent_rad_s[-1][0] == pytest.approx(speed_rad_s, abs=1e-3)
 
 
-@pytest.mark.parametrize("wrong", [None, np.nan, 50.0, "fast"])
-def test_an_arm_brakes_when_it_is_told_nothing_or_nonsense(scripted, wrong):
+def test_an_arm_brakes_when_it_is_told_nothing_or_nonsense(scripted):
     """It takes commands again, from the velocity that it then has."""
     drive_fast(scripted)
-    for _ in range(150):
+    wrongs = itertools.cycle((None, np.nan, 50.0, "fast"))
+    for wrong in itertools.islice(wrongs, 150):
         assert not scripted.cycle(wrong)
 
     assert not scripted.sent_rad_s[-1].any()
 
     drive_fast(scripted)
-    for _ in range(20):
+    for wrong in itertools.islice(wrongs, 20):
         scripted.cycle(wrong)  # still moving
     drive_fast(scripted)
 
@@ -196,10 +198,20 @@ def test_a_place_that_jumps_moves_no_arm(scripted):
     assert_within_limits(scripted)
 
 
-@pytest.mark.parametrize("scripted", ["lwr", "iiwa14"], indirect=True)
-def test_after_a_bad_connection_an_arm_begins_slowly_from_rest(scripted):
+@pytest.mark.parametrize(
+    ("scripted", "fault"),
+    [
+        ("lwr", None),
+        ("iiwa14", {"quality": Quality.FAIR}),
+        ("iiwa14", {"safety_stop": 1}),
+        ("iiwa14", {"mode": 0}),
+    ],
+    indirect=["scripted"],
+)
+def test_after_a_bad_connection_an_arm_begins_slowly_from_rest(scripted, fault):
     """These arms go on; what is commanded meanwhile is refused."""
     drive_fast(scripted)
+    scripted.fault = fault
     scripted.is_good = False
     for _ in range(100):
         assert not scripted.cycle(0.3)
@@ -309,7 +321,7 @@ def test_an_arm_stops_before_its_stops(name, speed_rad_s):
     begun_rad = upper_rad - 0.4 if is_up else lower_rad + 0.4
     scripted = KINDS[name](robot, begun_rad)
     speeds_rad_s = np.full(scripted.joints, speed_rad_s)
-    for _ in range(3000):
+    for _ in range(1500):
         scripted.cycle()
         assert scripted.arm.send(speeds_rad_s)
     scripted.close()
@@ -322,24 +334,24 @@ def test_an_arm_stops_before_its_stops(name, speed_rad_s):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", ["error", "SIGTERM", "SIGINT"])
-def test_a_program_that_ends_brakes_its_arm(end, tmp_path):
+def test_a_program_that_ends_brakes_its_arm(tmp_path):
     """Without a ``with`` statement, too; the arm has come to rest in limits."""
     root = Path(__file__).parents[3]
+    ends = ("error", "SIGTERM", "SIGINT")
     subprocess.run(
         [
             sys.executable,
             "-m",
             "tests.needleforce.devices.scripted_arms",
-            *(end, tmp_path),
+            *(tmp_path, *ends),
         ],
         stderr=subprocess.DEVNULL,
         cwd=root,
         env={**os.environ, "PYTHONPATH": str(root)},
-        timeout=120.0,
+        timeout=360.0,
     )
-    for name in NAMES:
-        sent_rad_s = np.load(tmp_path / f"{name}.npy")
+    for name, end in itertools.product(NAMES, ends):
+        sent_rad_s = np.load(tmp_path / f"{name}-{end}.npy")
 
         assert np.abs(sent_rad_s).max() == pytest.approx(0.3, abs=1e-3)
         assert not sent_rad_s[-1].any()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from needleforce.devices import IiwaArm
-from needleforce.devices.sunrise_messages import Quality, Session, message_type
-from tests.needleforce.devices.scripted_arms import iiwa_message
+from needleforce.devices.sunrise_messages import Session, message_type
+from tests.needleforce.devices.scripted_arms import Iiwa, iiwa_message
 
 GOLDEN_1 = bytes.fromhex(
     "0a0b08c2a2910110ac0218ab021216080710002802280228022802280228022802300238"
@@ -54,55 +54,19 @@ GOLDEN_ANSWER = bytes.fromhex(ANSWER_HEAD + ANSWER_JOINTS)
 """The first answer to either: reflects 300, commands 1.5, 1.25, ..."""
 
 
-class Conversation:
-    """A controller that sends one message after the other, and reads the answers."""
-
-    def __init__(self, arm, box, period_ms=2):
-        self.arm = arm
-        self._box = box
-        self._readings = iter(arm)
-        self._period_ms = period_ms
-        self._count = 0
-        self.places_rad = []  # commanded to the first joint
-
-    def say(self, session=Session.COMMANDING_ACTIVE, place_rad=0.0, **changes):
-        """Send a message of an arm that stands there; return its reading."""
-        self.send(session, place_rad, **changes)
-        reading = next(self._readings)
-        answer = message_type("Command").FromString(self._box.recv(2048))
-        self.places_rad.append(answer.wanted.position_rad.value[0])
-        return reading
-
-    def send(self, session, place_rad=0.0, **changes):
-        """Send a message, and wait for nothing."""
-        self._count += 1
-        changes = {"period_ms": self._period_ms, **changes}
-        data = iiwa_message(self._count, session, [place_rad] * 7, **changes)
-        self._box.sendto(data, self.arm.address)
-
-    def drive(self, cycles, speed_rad_s):
-        """Let the arm be driven; return how many commands it took."""
-        taken = 0
-        for _ in range(cycles):
-            self.say()
-            taken += self.arm.send([speed_rad_s] + [0.0] * 6)
-        return taken
-
-
 @pytest.fixture
-def controller(box):
+def arm():
     with IiwaArm(port=0) as arm:
-        yield Conversation(arm, box)
+        yield arm
 
 
 @pytest.mark.parametrize("data", [GOLDEN_1, GOLDEN_2])
-def test_a_golden_message_is_read_and_answered(data, box):
-    with IiwaArm(port=0) as arm:
-        arm.session = Session.COMMANDING_WAIT  # of a message before
-        box.sendto(data, arm.address)
-        reading = next(iter(arm))
+def test_a_golden_message_is_read_and_answered(data, box, arm):
+    arm.session = Session.COMMANDING_WAIT  # of a message before
+    box.sendto(data, arm.address)
+    reading = next(iter(arm))
 
-        assert box.recv(2048) == GOLDEN_ANSWER
+    assert box.recv(2048) == GOLDEN_ANSWER
 
     assert reading.q_rad.tolist() == [0.5, 0.625, 0.75, 0.875, 1.0, 1.125, 1.25]
     assert reading.tau_Nm.tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
@@ -112,18 +76,17 @@ def test_a_golden_message_is_read_and_answered(data, box):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_while_it_monitors_version_1_has_its_own_position_back(version, box):
+def test_while_it_monitors_version_1_has_its_own_position_back(version, box, arm):
     data = (GOLDEN_1, GOLDEN_2)[version - 1]
     message = message_type("Monitoring").FromString(data)
     message.connection.session = Session.MONITORING_READY
     message.connection.answer_cycles = 2
-    with IiwaArm(port=0) as arm:
-        readings = iter(arm)
-        for number in (300, 301):
-            message.header.number = number
-            box.sendto(message.SerializeToString(), arm.address)
-            assert not next(readings).accepts_commands
-        answer = message_type("Command").FromString(box.recv(2048))
+    readings = iter(arm)
+    for number in (300, 301):
+        message.header.number = number
+        box.sendto(message.SerializeToString(), arm.address)
+        assert not next(readings).accepts_commands
+    answer = message_type("Command").FromString(box.recv(2048))
 
     assert answer.header.reflected == 301  # only every second one is answered
     told = list(answer.wanted.position_rad.value)
@@ -152,80 +115,55 @@ def broken(place, value):
         iiwa_message(program_rad=[0.0] * 8),
     ],
 )
-def test_what_is_no_message_is_refused(data, box):
-    with IiwaArm(port=0) as arm:
-        box.sendto(data, arm.address)
-        box.sendto(iiwa_message(), arm.address)
+def test_what_is_no_message_is_refused(data, box, arm):
+    box.sendto(data, arm.address)
+    box.sendto(iiwa_message(), arm.address)
 
-        assert next(iter(arm)).dt_s == 0.002
-        assert arm.report.malformed == 1
-
-
-@pytest.mark.parametrize(
-    "interruption",
-    [
-        {"quality": Quality.FAIR},
-        {"safety_stop": 1},
-        {"mode": 0},
-    ],
-)
-def test_an_interruption_moves_nothing_and_is_resumed_from_rest(
-    controller, interruption
-):
-    """The arm brakes from 0.3 rad/s at 5 rad/s2 and keeps its place, and a program
-    that has seen nothing does not drive it."""
-    for _ in range(30):
-        controller.say(Session.COMMANDING_WAIT)
-    for k in range(300):
-        controller.drive(1, min(k / 100.0, 1.0) * 0.3)
-    start_rad = controller.places_rad[-1]
-    controller.places_rad = controller.places_rad[-3:]
-
-    assert start_rad > 0.1
-    assert not controller.say(**interruption).accepts_commands
-    assert not controller.arm.send([0.3] + [0.0] * 6)
-    assert controller.drive(200, 0.3) == 0
-    speeds_rad_s = np.diff(controller.places_rad) / 2e-3
-    assert np.abs(speeds_rad_s).max() <= 0.3 + 1e-9
-    assert np.abs(np.diff(speeds_rad_s)).max() / 2e-3 <= 5.0 + 1e-6
-    assert start_rad <= controller.places_rad[-1] <= start_rad + 0.012
-    assert np.ptp(controller.places_rad[-100:]) == 0.0
-
-    rest_rad = controller.places_rad[-1]
-    controller.places_rad = []
-    taken = sum(controller.drive(1, min(k / 100.0, 1.0) * 0.3) for k in range(200))
-    assert taken == 200
-    assert controller.places_rad[0] == rest_rad
-    assert controller.places_rad[-1] == pytest.approx(rest_rad + 0.0894, abs=1e-3)
+    assert next(iter(arm)).dt_s == 0.002
+    assert arm.report.malformed == 1
 
 
-def test_a_session_that_is_found_running_begins_where_the_arm_is(controller):
+@pytest.fixture
+def iiwa():
+    arm = Iiwa(place_rad=np.full(7, 0.25))
+    yield arm
+    arm.close()
+
+
+def test_a_session_that_is_found_running_begins_where_the_arm_is(iiwa):
     """The place that an earlier program has added to is not given up at once."""
-    for _ in range(5):
-        controller.say(place_rad=0.25)
+    iiwa.begun_rad = np.zeros(7)
+    iiwa.cycle()
 
-    assert controller.places_rad == [0.25] * 5
-
-
-def test_after_a_new_session_commands_start_from_rest(controller):
-    controller.say(Session.COMMANDING_WAIT)
-    controller.drive(100, 0.3)
-    controller.say(Session.COMMANDING_WAIT)
-
-    assert controller.drive(50, 0.3) == 0
-    assert controller.places_rad[-50:] == [0.0] * 50
-    assert controller.drive(50, 0.02) == 50
+    assert iiwa.told_rad.tolist() == [0.25] * 7
 
 
-def test_a_period_that_is_not_told_is_found_from_the_stamps(box):
+def test_after_a_new_session_commands_start_from_rest(iiwa):
+    for _ in range(100):
+        assert iiwa.cycle(0.3)
+    iiwa.begun_rad = iiwa.place_rad
+    iiwa.fault = {"session": Session.COMMANDING_WAIT}
+    iiwa.is_good = False
+    iiwa.cycle()
+    iiwa.is_good = True
+
+    assert not any([iiwa.cycle(0.3) for _ in range(50)])
+    assert not np.any(iiwa.sent_rad_s[-50:])
+    assert all([iiwa.cycle(0.02) for _ in range(50)])
+
+
+def test_a_period_that_is_not_told_is_found_from_the_stamps(iiwa):
     """The first message only starts the clock: velocities need the true period."""
-    with IiwaArm(port=0) as arm:
-        controller = Conversation(arm, box, period_ms=0)
-        controller.send(Session.COMMANDING_WAIT)
+    iiwa.fault = {"session": Session.COMMANDING_WAIT, "period_ms": 0}
+    iiwa.is_good = False
+    iiwa.send()
+    iiwa.send()
 
-        assert controller.say(Session.COMMANDING_WAIT).dt_s == 2e-3
+    assert next(iiwa.readings).dt_s == 2e-3
 
-        controller.drive(101, 0.3)
-        last_rad = controller.places_rad[-1] - controller.places_rad[-2]
-        assert last_rad == pytest.approx(0.3 * 2e-3, abs=1e-9)
-        assert arm.report.malformed == 0
+    iiwa.hear()
+    iiwa.fault = {"period_ms": 0}
+    for _ in range(101):
+        iiwa.cycle(0.3)
+    assert iiwa.sent_rad_s[-1][0] == pytest.approx(0.3, abs=1e-6)
+    assert iiwa.arm.report.malformed == 0

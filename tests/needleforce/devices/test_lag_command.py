@@ -53,8 +53,3 @@ def test_an_emulated_kuka_is_as_late_as_it_was_made(capsys):
     for joint in result["joints"]:
         assert joint["delay_ms"] == pytest.approx(2.0 * (5 + 1), abs=1.0)
     assert result["cycle_ms"] == pytest.approx(2.0)
-
-
-def test_an_arm_does_not_move_unasked(capsys):
-    assert main(["lag", "sim"]) != 0
-    assert "--yes" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import socket
 import struct
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -57,46 +58,46 @@ class Box:
             newest = newest if wrench is None else wrench
         return newest
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def close(self):
         self.link.close()
         self.socket.close()
 
 
-def test_a_record_is_asked_for_and_read_byte_for_byte():
-    with Box() as box:
-        assert box.request.hex() == "1234000200000000"
+@pytest.fixture
+def box():
+    with closing(Box()) as box:
+        yield box
 
-        box.send(GOLDEN_RECORD)
-        assert box.read().tolist() == [1.0, -2.0, 3.0, 4.0, -5.0, 6.0]
 
-        box.link.close()
-        assert box.socket.recv(64).hex() == "1234000000000000"
-        assert box.link.read() is None
+def test_a_record_is_asked_for_and_read_byte_for_byte(box):
+    assert box.request.hex() == "1234000200000000"
+
+    box.send(GOLDEN_RECORD)
+    assert box.read().tolist() == [1.0, -2.0, 3.0, 4.0, -5.0, 6.0]
+
+    box.link.close()
+    assert box.socket.recv(64).hex() == "1234000000000000"
+    assert box.link.read() is None
 
 
 @pytest.mark.parametrize("status", [*(1 << bit for bit in range(17, 32)), 0x80000020])
-def test_a_record_of_a_faulty_sensor_is_not_used(status):
-    with Box() as box:
-        box.send(GOLDEN_RECORD)
-        box.send(record(8, status))
-        box.send(record(9))
+def test_a_record_of_a_faulty_sensor_is_not_used(box, status):
+    box.send(GOLDEN_RECORD)
+    box.send(record(8, status))
+    box.send(record(9))
 
-        assert box.read() is not None
-        report = box.link.report
-        assert (report.used, report.malformed, report.missed) == (2, 1, 0)
-        assert box.link.faults == status
+    assert box.read() is not None
+    report = box.link.report
+    assert (report.used, report.malformed, report.missed) == (2, 1, 0)
+    assert box.link.faults == status
 
 
 @pytest.mark.parametrize("status", [0x00010000, 0x80010000, 0x00000020])
-def test_a_latched_threshold_leaves_forces_valid(status):
-    with Box() as box:
-        box.send(record(7, status))
+def test_a_latched_threshold_leaves_forces_valid(box, status):
+    box.send(record(7, status))
 
-        assert box.read() is not None
-        assert (box.link.status, box.link.faults) == (status, 0)
+    assert box.read() is not None
+    assert (box.link.status, box.link.faults) == (status, 0)
 
 
 @pytest.mark.parametrize(
@@ -108,40 +109,38 @@ def test_a_status_word_is_put_in_words(status, word):
     assert f"0x{status:08x}: " in describe_status(status)
 
 
-def test_lost_repeated_late_and_malformed_records_are_counted():
-    with Box() as box:
-        for count in (0, 1, 1, 4, 3, 5, 20_000):
-            box.send(record(count))
-        for data in (b"", GOLDEN_RECORD[:-1], GOLDEN_RECORD * 41, GOLDEN_RECORD * 1800):
-            box.send(data)
-        assert box.read() is not None
-        report = box.link.report
+def test_lost_repeated_late_and_malformed_records_are_counted(box):
+    for count in (0, 1, 1, 4, 3, 5, 20_000):
+        box.send(record(count))
+    for data in (b"", GOLDEN_RECORD[:-1], GOLDEN_RECORD * 41, GOLDEN_RECORD * 1800):
+        box.send(data)
+    assert box.read() is not None
+    report = box.link.report
 
     assert (report.used, report.missed) == (4, 2)
     assert (report.stale, report.malformed) == (3, 4)
 
 
-def test_silence_is_counted_and_the_sensor_asked_anew():
+def test_silence_is_counted_and_the_sensor_asked_anew(box):
     silences_s = []
-    with Box() as box:
-        box.send(record(5_000_000))
-        assert box.read() is not None
-        assert box.link.silent_s == 0.0
-        box.link.on_silence = silences_s.append
-        while not silences_s or silences_s[-1] < 1.2:
-            assert box.link.read() is None
-            time.sleep(0.01)
-        assert 0.1 <= silences_s[0] < 0.1 + PATIENCE_S
-        box.socket.settimeout(0.5)
-        assert box.socket.recv(64) == box.request
-        box.send(record(0))  # it was off
-        assert box.read() is not None
-        assert box.link.report.outages == 1
-        assert 1.0 < box.link.report.longest_gap_s < 1.0 + PATIENCE_S
+    box.send(record(5_000_000))
+    assert box.read() is not None
+    assert box.link.silent_s == 0.0
+    box.link.on_silence = silences_s.append
+    while not silences_s or silences_s[-1] < 1.2:
+        assert box.link.read() is None
+        time.sleep(0.01)
+    assert 0.1 <= silences_s[0] < 0.1 + PATIENCE_S
+    box.socket.settimeout(0.5)
+    assert box.socket.recv(64) == box.request
+    box.send(record(0))  # it was off
+    assert box.read() is not None
+    assert box.link.report.outages == 1
+    assert 1.0 < box.link.report.longest_gap_s < 1.0 + PATIENCE_S
 
 
-def test_foreign_datagrams_never_reach_a_force_sensor():
-    with Box() as box, socket.socket(type=socket.SOCK_DGRAM) as stranger:
+def test_foreign_datagrams_never_reach_a_force_sensor(box):
+    with socket.socket(type=socket.SOCK_DGRAM) as stranger:
         stranger.bind(("127.0.0.9", 0))
         for _ in range(50):
             stranger.sendto(GOLDEN_RECORD, box.asked_from)
@@ -149,38 +148,32 @@ def test_foreign_datagrams_never_reach_a_force_sensor():
         assert box.link.report.used == 0
 
 
-@pytest.fixture
-def page(tmp_path):
-    """The page of a sensor."""
-    return tmp_path / "netftapi2.xml"
+COUNTS = "<calcpf>1000</calcpf><calcpt>2000</calcpt>"
 
 
 @pytest.mark.parametrize(
-    ("units", "word"),
+    ("content", "word"),
     [
-        ("<scalfu>N</scalfu><scaltu>N-m</scaltu>", None),
-        ("", None),
-        ("<scalfu></scalfu>", "scalfu"),
-        ("<scalfu>lbf</scalfu>", "lbf"),
-        ("<scalfu>N</scalfu><scaltu>N-mm</scaltu>", "N-mm"),
+        (f"<scalfu>N</scalfu><scaltu>N-m</scaltu>{COUNTS}", None),
+        (COUNTS, None),
+        (f"<scalfu></scalfu>{COUNTS}", "scalfu"),
+        (f"<scalfu>lbf</scalfu>{COUNTS}", "lbf"),
+        (f"<scalfu>N</scalfu><scaltu>N-mm</scaltu>{COUNTS}", "N-mm"),
+        ("<ft>", "counts"),
+        ("", "counts"),
+        ("<calcpf>many</calcpf>", "counts"),
     ],
 )
-def test_counts_per_other_units_are_refused(units, word, page):
-    page.write_text(f"<ft>{units}<calcpf>1000</calcpf><calcpt>2000</calcpt></ft>")
+def test_a_page_without_counts_or_of_other_units_is_refused(content, word, tmp_path):
+    page = tmp_path / "netftapi2.xml"
+    page.write_text(f"<ft>{content}</ft>")
     if word is None:
-        with Box(page.as_uri()) as box:
+        with closing(Box(page.as_uri())) as box:
             box.send(GOLDEN_RECORD)
             assert box.read().tolist() == [1000.0, -2000.0, 3000.0, 2.0, -2.5, 3.0]
     else:
         with pytest.raises(LinkError, match=word):
             NetFT(scale=page.as_uri())
-
-
-@pytest.mark.parametrize("text", ["<ft>", "<ft/>", "<ft><calcpf>many</calcpf></ft>"])
-def test_a_page_without_counts_is_refused(text, page):
-    page.write_text(text)
-    with pytest.raises(LinkError, match="counts"):
-        NetFT(scale=page.as_uri())
 
 
 @pytest.mark.parametrize(

@@ -41,11 +41,9 @@ def saved(drawn, path):
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-@pytest.mark.parametrize(
-    "name", ["läg--2.csv", "$\\frac{$.csv", "力.csv", "a\udcff\x01"]
-)
-def test_any_file_name_can_stand_in_a_title_of_equal_files(tmp_path, name, suffix):
-    drawn = [figure([0.0, 1.0], f"Forces\n{name}") for _ in range(2)]
+def test_any_file_name_can_stand_in_a_title_of_equal_files(tmp_path, suffix):
+    title = "Forces\nläg--2.csv\n$\\frac{$.csv\n力.csv\na\udcff\x01"
+    drawn = [figure([0.0, 1.0], title) for _ in range(2)]
     first, second = (
         saved(one, tmp_path / f"{k}.{suffix}").read_bytes()
         for k, one in enumerate(drawn)

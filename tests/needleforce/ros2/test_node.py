@@ -12,8 +12,7 @@ import urdf
 from needleforce import InsertionSession
 from needleforce.cli import main
 from needleforce.ros2 import MissingRosError, Ros2ParameterError, require_ros
-from needleforce.ros2.reports import layer_reports
-from tests.insertion_run import insert, short_run
+from tests.insertion_run import short_run
 from tests.needleforce.ros2.fake_ros import (
     Graph,
     Message,
@@ -197,41 +196,12 @@ def test_a_parameter_that_does_not_exist_is_refused(graph):
 # Events, layers, services
 
 
-@pytest.mark.slow
-def test_an_insertion_is_events_and_layers(graph):
-    session = InsertionSession(short_run().robot)
-    estimates = insert(session)
-    [layer] = layer_reports(session.layers)
-
-    assert layer.name == "layer 1"
-    assert float(layer.values["stiffness_N_per_m"]) > 0.0
-    assert layer.values["is_final"] == "true"
-
-    node = start(graph)
-    event = next(one for one in estimates if one.identification.rupture is not None)
-    node._publish_events(event)  # its samples pass through the real node in test_in_ros
-    [message] = graph.published["/needleforce/events"]
-    values = {pair.key: pair.value for pair in message.status[0].values}
-    assert message.status[0].name == "rupture"
-    assert float(values["depth_m"]) == pytest.approx(
-        event.identification.rupture.depth_m
-    )
-
-
 def test_an_insertion_begins_only_after_a_tare(graph):
     start(graph)
     answer = graph.services["~/begin_insertion"](None, Message())
 
     assert answer.success is False
     assert "~/tare" in answer.message
-
-
-def test_shutting_the_node_down_ends_it(graph):
-    node = start(graph)
-    assert not node.is_stopped
-    node.on_shutdown(None)
-
-    assert node.is_stopped
 
 
 def test_a_missing_ros_is_an_error_that_names_it(monkeypatch, capsys):

@@ -3,11 +3,7 @@
 import errno
 import os
 import signal
-import threading
 import time
-from contextlib import contextmanager
-from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +30,7 @@ from tests.needleforce.scene.scene_page import browse
 
 POINT = PlanScene(entry_m=np.zeros(3), target_m=np.zeros(3))
 FILM = "document.getElementById('scene').contentDocument"
-SETTLE_s = 3.0
+SETTLE_s = 1.0
 """So long a page may fetch what it should not."""
 
 
@@ -108,30 +104,13 @@ def test_a_plan_becomes_a_page_without_a_needle(tmp_path):
 # Names that are markup
 
 
-@contextmanager
-def counting_server():
-    """A server that notes what is fetched from it: its address, and the paths."""
-    paths = []
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self):
-            paths.append(self.path)
-            self.send_response(200)
-            self.send_header("Access-Control-Allow-Origin", "*")
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}", paths
-        server.shutdown()
+NOWHERE = "http://127.0.0.1:9"
+"""Where nobody listens: what is fetched from there is an error of the page."""
 
 
-def hostile(place, url):
+def hostile(place):
     """A name that runs and fetches wherever markup of a name is not escaped."""
-    get = f"{url}/{place}"
+    get = f"{NOWHERE}/{place}"
     run = f"top.hasRun=true;fetch(`{get}-fetch`)"
     return (
         f'<iframe srcdoc="<script>{run}</script>"></iframe>'
@@ -143,65 +122,57 @@ def hostile(place, url):
     )
 
 
-def hostile_scene(url):
+def hostile_scene():
     """A plan with hostile names everywhere, and a rupture into one of its layers."""
-    named = partial(hostile, url=url)
     scene = plan()
     for one in (*scene.surfaces, *scene.layers):
-        one.name = named(one.name)
+        one.name = hostile(one.name)
     names = dict.fromkeys(("name", "next_name", "matched_name"), scene.layers[1].name)
     state = planned(1, 0.052, 1)._replace(**names)
     return (
-        scene._replace(warnings=(named("warning"),), watched=(named("watched"),)),
+        scene._replace(warnings=(hostile("warning"),), watched=(hostile("watched"),)),
         moment(1.0, 0.022, rupture=1, plan=state, deviation=deviation()),
     )
 
 
 @needs_chromium
-@pytest.mark.parametrize("kind", ["live", "film", "plan", "report"])
+@pytest.mark.parametrize("kind", ["live", "film", "report"])
 def test_names_in_a_page_are_text(kind, tmp_path, open_page):
     path = tmp_path / "page.html"
-    with counting_server() as (url, paths):
-        scene, rupture = hostile_scene(url)
-        viewer = open_page(moment(0.0), rupture, scene=scene)
-        address = path.as_uri()
-        if kind == "live":
-            address = viewer.url
-        elif kind == "film":
-            viewer.export(path, frames=3)
-        elif kind == "plan":
-            export_plan(scene, path)
-        else:
-            write_report(partial(hostile, url=url), path)
-        with browse(address) as page:
-            text = "document.body.textContent"
-            assert page.wait_for(f"{text}.includes('warning')")
-            if kind != "report":
-                views = "document" if kind == "live" else FILM
-                assert page.wait_for(f"{views}?.querySelectorAll('canvas').length > 0")
-            time.sleep(SETTLE_s)
-            assert "<iframe srcdoc=" in page.evaluate(text)
-            assert not page.evaluate("Boolean(window.hasRun)")
-            frames = page.evaluate("document.querySelectorAll('iframe').length")
-            assert (frames, page.errors) == (kind in ("film", "plan"), [])
-        assert paths == []
+    scene, rupture = hostile_scene()
+    viewer = open_page(moment(0.0), rupture, scene=scene)
+    if kind == "film":
+        viewer.export(path, frames=3)
+    else:
+        write_report(path)
+    with browse(viewer.url if kind == "live" else path.as_uri()) as page:
+        text = "document.body.textContent"
+        assert page.wait_for(f"{text}.includes('warning')")
+        if kind != "report":
+            views = "document" if kind == "live" else FILM
+            assert page.wait_for(f"{views}?.querySelectorAll('canvas').length > 0")
+        time.sleep(SETTLE_s)
+        assert "<iframe srcdoc=" in page.evaluate(text)
+        assert not page.evaluate("Boolean(window.hasRun)")
+        frames = page.evaluate("document.querySelectorAll('iframe').length")
+        assert (frames, page.errors) == (kind == "film", [])
 
 
-def write_report(named, path):
+def write_report(path):
     """A page whose every text has a hostile name in it."""
     table = PageTable(
-        caption=named("caption"), head=(named("joint"),), rows=((named("file"),),)
+        caption=hostile("caption"),
+        head=(hostile("joint"),),
+        rows=((hostile("file"),),),
     )
     section = Section(
-        heading=named("heading"),
-        anchor=named('anchor" onclick="'),
-        paragraphs=(named("text"),),
+        heading=hostile("heading"),
+        anchor=hostile('anchor" onclick="'),
+        paragraphs=(hostile("text"),),
         tables=(table,),
     )
-    write_page(
-        path,
-        Page(title=named("title"), lead=(named("warning"),), sections=(section,) * 3),
-    )
+    title, lead = hostile("title"), (hostile("warning"),)
+    write_page(path, Page(title=title, lead=lead, sections=(section,) * 3))
 
 
 @pytest.mark.slow
