@@ -1,8 +1,8 @@
 """The commands: what each says in its help, and what runs it."""
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -47,11 +47,6 @@ from needleforce.cli.terminal import (
     say,
     write_out,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from urdf import Robot
 
 
 @app.command(name="force", group=LOGS)
@@ -402,7 +397,7 @@ def ros2_command(
 
     needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
     """
-    from needleforce.cli.robot import file_of_description, robot_from_options
+    from needleforce.cli.robot import robot_from_topic
     from needleforce.cli.session_parts import load_plan
     from needleforce.ros2 import require_ros
 
@@ -410,18 +405,9 @@ def ros2_command(
     from needleforce.ros2.node import run_node
 
     loaded = load_plan(plan)
-
-    def make_robot(wait_for_description: "Callable[[], str]") -> "Robot":
-        """Return the arm of the options, else that of the topic."""
-        if robot.is_named:
-            return robot_from_options(robot, None)
-        text = wait_for_description()
-        with file_of_description(text, "robot_description") as path:
-            return robot_from_options(replace(robot, urdf=path), None)
-
     run_node(
         ros_arguments,
-        make_robot,
+        partial(robot_from_topic, robot),
         (lambda session: None) if loaded is None else loaded.follow_with,
     )
     return 0

@@ -3,7 +3,7 @@
 Arm, payload, friction and settings.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
@@ -137,6 +137,22 @@ def file_of_description(text: str, name: str) -> Iterator[str]:
         path = Path(folder, name)
         path.write_text(text, encoding="utf-8")
         yield str(path)
+
+
+def robot_from_topic(
+    options: RobotOptions, wait_for_description: Callable[[], str]
+) -> Robot:
+    """Return the robot of the options; if they name none, that of a description.
+
+    Args:
+        options: Options of the command.
+        wait_for_description: Returns the URDF, as the topic ``robot_description`` has
+            it.
+    """
+    if options.is_named:
+        return robot_from_options(options, None)
+    with file_of_description(wait_for_description(), "robot_description") as path:
+        return robot_from_options(replace(options, urdf=path), None)
 
 
 def _check_robot_options(options: RobotOptions) -> None:

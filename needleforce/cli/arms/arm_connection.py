@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,19 @@ def say_silence(silent_s: float, what: str = "") -> None:
         say(f"{what}silent {silent_s:.1f} s")
 
 
+class OpenedArm(NamedTuple):
+    """An arm that a user has named.
+
+    Attributes:
+        arm: The connection, one of `needleforce.devices`, or a simulated arm; with its
+            model as `robot`.
+        options: Options that describe that robot.
+    """
+
+    arm: Any
+    options: RobotOptions
+
+
 @contextmanager
 def open_arm(
     name: str,
@@ -59,11 +72,8 @@ def open_arm(
     constants_Nm_A: MotorConstants | None = None,
     *,
     takes_commands: bool = False,
-) -> Iterator[tuple[Any, RobotOptions]]:
+) -> Iterator[OpenedArm]:
     """Open the arm that a user names; it is closed in the end.
-
-    Yields the connection, one of `needleforce.devices` or a simulated arm, with its
-    model as `robot`; and the options that describe that robot.
 
     Args:
         name: The arm as the command line names it, such as ``fri:30200``.
@@ -78,7 +88,8 @@ def open_arm(
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if kind == "sim":
-        yield _simulated_arm(name, options, takes_commands=takes_commands), options
+        simulated = _simulated_arm(name, options, takes_commands=takes_commands)
+        yield OpenedArm(simulated, options)
         return
     with ExitStack() as stack:
         described = options
@@ -113,7 +124,7 @@ def open_arm(
                 f"{robot.nv}",
                 OTHER_ROBOT,
             )
-        yield arm, described
+        yield OpenedArm(arm, described)
 
 
 def _simulated_arm(

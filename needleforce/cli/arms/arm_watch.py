@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from foundation.jit import compile_waiting
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
+    OpenedArm,
     ask_to_move,
     limits_of,
     open_arm,
@@ -83,7 +83,7 @@ def watch_arm(
         opened = _open_tared_arm(
             arm_name, robot, options, stroke_m, is_confirmed=is_confirmed
         )
-        arm, described, session = stack.enter_context(opened)
+        (arm, described), session = stack.enter_context(opened)
         reference = page = None
         if reference_address is not None:
             sensor = _open_reference(reference_address, reference_axis)
@@ -174,12 +174,12 @@ def _open_tared_arm(
     stroke_m: float | None,
     *,
     is_confirmed: bool,
-) -> Iterator[tuple[Any, RobotOptions, InsertionSession]]:
+) -> Iterator[tuple[OpenedArm, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
-    Yields the arm, options that describe its robot, and the session, which is not tared
-    without a stroke. A simulated arm stays the one that has moved; any other is given
-    back and opened anew, so that its user may move it.
+    Yields the arm, and the session, which is not tared without a stroke. A simulated
+    arm stays the one that has moved; any other is given back and opened anew, so that
+    its user may move it.
 
     Args:
         name: The arm as the command line names it.
@@ -218,10 +218,10 @@ def _open_tared_arm(
             )
             say("tared")
             if isinstance(arm, SimulatedArm):
-                yield _RestingArm(arm), described, session
+                yield OpenedArm(_RestingArm(arm), described), session
                 return
-    with open_arm(name, robot, constants_Nm_A) as (arm, described):
-        yield arm, described, session or InsertionSession(arm.robot)
+    with open_arm(name, robot, constants_Nm_A) as opened_arm:
+        yield opened_arm, session or InsertionSession(opened_arm.arm.robot)
 
 
 @contextmanager

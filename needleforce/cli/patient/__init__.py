@@ -1,5 +1,5 @@
 """From one's own CT to a registered plan: the commands plan, touch and register.
 
 Reading order: `case_files` (CT, labels and their names, plan, touches),
-`plan_run`, `touch_run`, `register_run`.
+`plan_run` (its page: `plan_page`), `touch_run`, `register_run`.
 """

@@ -15,6 +15,7 @@ from needleforce.anatomy.markups import Markup, read_markup
 from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
+    OpenedArm,
     open_arm,
     samples_until_stopped,
 )
@@ -118,7 +119,7 @@ def _next(names: tuple[str, ...], places_m: Sequence[Array]) -> str:
 
 def _open_touching_arm(
     name: str, robot: RobotOptions, options: ArmOptions, landmarks_m: Array
-) -> AbstractContextManager[tuple[Any, RobotOptions]]:
+) -> AbstractContextManager[OpenedArm]:
     """Open the arm that a user names, or a simulated one that touches a plan's patient.
 
     Args:
@@ -133,7 +134,7 @@ def _open_touching_arm(
     fields = case_files.read_plan_fields(Path(plan))
     labels = case_files.case_of_plan(fields, Path(plan).parent).labels
     with progress_bar("simulating"):
-        return nullcontext((touch_patient(fields, labels, landmarks_m), robot))
+        return nullcontext(OpenedArm(touch_patient(fields, labels, landmarks_m), robot))
 
 
 def _touches(

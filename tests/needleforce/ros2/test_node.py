@@ -209,8 +209,9 @@ def test_a_missing_ros_is_an_error_that_names_it(monkeypatch, capsys):
 
     with pytest.raises(MissingRosError, match="rclpy"):
         require_ros()
-    assert main(["ros2", "--robot", "lwr"]) == 2
-    assert "rclpy" in capsys.readouterr().err
+    for command in (["ros2"], ["live", "ros2:/joint_states"]):
+        assert main([*command, "--robot", "lwr"]) == 2
+        assert "rclpy" in capsys.readouterr().err
 
 
 # Files of examples/ros2
