@@ -65,13 +65,13 @@ def read_field(record: list[Any], name: str) -> Any:
     return record[0][name] if COMPILER else getattr(record[0], name)
 
 
-def _build(hint: Any, value: Any) -> Any:
+def _build(kind: Any, value: Any) -> Any:
     """Return the value of a field as its type: a number, a state, a tuple of states."""
-    if hint in SCALARS:
-        return hint(value)
-    if is_dataclass(hint):
-        return hint(*map(_build, state_fields(cast(type, hint)).values(), value))
-    return tuple(map(_build, get_args(hint), value))
+    if kind in SCALARS:
+        return kind(value)
+    if get_args(kind):
+        return tuple(map(_build, get_args(kind), value))
+    return kind(*map(_build, state_fields(kind).values(), value))
 
 
 def _write(record: Any, state: Any) -> None:

@@ -21,7 +21,7 @@ from foundation.errors import NeedleforceError
 STATE_FORMAT = "needleforce-state"
 """First word of a file."""
 
-STATE_VERSION = 14
+STATE_VERSION = 15
 """Grows whenever a file of the version before cannot be read, or is misread."""
 
 MAX_FILE_BYTES = 64 << 20

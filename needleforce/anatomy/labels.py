@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy.clearance import Clearance, VoxelBoxes
+from needleforce.anatomy.clearance import Clearance, REACH_m, VoxelBoxes
 from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
 from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
@@ -540,9 +540,8 @@ class Labels(Segmentation):
             VolumeError: No structure with voxels has one of the names.
         """
         chosen = self.at_risk() if names is None else [self[name] for name in names]
-        within_m = 0.1  # structures further away are not reported
         nearest = [
-            VoxelBoxes(self, one).nearest(entry_m, target_m, within_m) for one in chosen
+            VoxelBoxes(self, one).nearest(entry_m, target_m, REACH_m) for one in chosen
         ]
         found = [one for one in nearest if one is not None]
         return sorted(found, key=lambda one: (one.distance_m, one.depth_m))

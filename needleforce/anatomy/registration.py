@@ -16,7 +16,6 @@ body that is alike in front and back, names with a side and touches about the en
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,15 +41,34 @@ MAX_DEGREES = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class Registration:
+class RigidTransform:
+    """Where the model lies in the robot's base: y = R x + t.
+
+    Attributes:
+        rotation: R, from the model to the robot's base, (3, 3).
+        translation_m: t, (3,).
+    """
+
+    rotation: Array
+    translation_m: Array
+
+    def to_robot(self, points_m: ArrayLike) -> Array:
+        """Carry points of the model, shape (..., 3), into the robot's base."""
+        return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
+
+    def to_model(self, points_m: ArrayLike) -> Array:
+        """Carry points in the robot's base, shape (..., 3), into the model."""
+        return (np.asarray(points_m, dtype=float) - self.translation_m) @ self.rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Registration(RigidTransform):
     """Where the model lies in the robot's base, with its uncertainty.
 
     The covariance is that of a small rotation [rad] about the pivot, and a shift [m],
     in the robot's base; nan where nothing can be said.
 
     Attributes:
-        rotation: R, (3, 3).
-        translation_m: t, (3,).
         covariance: Of rotation and shift, (6, 6).
         pivot_m: In the robot's base, (3,).
         degrees: Of freedom behind the covariance; infinite where the deviation was
@@ -60,22 +78,12 @@ class Registration:
         indentation_std_m: Its standard deviation.
     """
 
-    rotation: Array
-    translation_m: Array
     covariance: Array
     pivot_m: Array
     degrees: float
     residual_rms_m: float
     indentation_m: float = 0.0
     indentation_std_m: float = 0.0
-
-    def to_robot(self, points_m: ArrayLike) -> Array:
-        """Carry points of the model, shape (..., 3), into the robot's base."""
-        return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
-
-    def to_model(self, points_m: ArrayLike) -> Array:
-        """Carry points in the robot's base, shape (..., 3), into the model."""
-        return (np.asarray(points_m, dtype=float) - self.translation_m) @ self.rotation
 
     def covariance_at(self, point_m: ArrayLike) -> Array:
         """Return covariances of the error at points (..., 3) of the model, (..., 3, 3).
@@ -126,22 +134,6 @@ class Registration:
         hotelling_t2 = error_m @ np.linalg.solve(covariance, error_m)
         quantile = 3.0 * fdtri(3, min(self.degrees, MAX_DEGREES), level)
         return bool(hotelling_t2 <= quantile)
-
-
-class RigidTransform(NamedTuple):
-    """A motion: y = R x + t.
-
-    Attributes:
-        rotation: R, from the model to the robot's base, (3, 3).
-        translation_m: t, (3,).
-    """
-
-    rotation: Array
-    translation_m: Array
-
-    def carry(self, points_m: Array) -> Array:
-        """Return points (n, 3) of the model where the motion carries them."""
-        return points_m @ self.rotation.T + self.translation_m
 
 
 def fit_rigidly(model_m: Array, robot_m: Array) -> RigidTransform:
@@ -218,7 +210,7 @@ def fit_landmarks(
     robot = np.asarray(robot_m, dtype=float)
     _require_landmarks(model, robot)
     fit = fit_rigidly(model, robot)
-    moved_m = fit.carry(model)
+    moved_m = fit.to_robot(model)
     squares_m2 = float(((moved_m - robot) ** 2).sum())
     residual_rms_m = float(np.sqrt(squares_m2 / len(model)))
     degrees = 3.0 * len(model) - 6.0
@@ -291,7 +283,7 @@ def _require_one_order(
     gaps_m = cdist(robot, robot)[orders[:, :, None], orders[:, None, :]]
     differences_m = np.abs(gaps_m - cdist(model, model)).max(axis=(1, 2))
     for order in orders[differences_m <= max_gap_std * std_m]:
-        off_m = fit_rigidly(model, robot[order]).carry(model) - robot[order]
+        off_m = fit_rigidly(model, robot[order]).to_robot(model) - robot[order]
         if (off_m**2).sum() <= squares_m2 + equal_fit * std_m**2:
             raise RegistrationError(
                 f"the landmarks fit as well in another order ({order + 1}): they lie "
@@ -342,13 +334,13 @@ def judge_landmarks(
     """
     model = np.asarray(model_m, dtype=float)
     robot = np.asarray(robot_m, dtype=float)
-    left_m = fit_rigidly(model, robot).carry(model) - robot
+    left_m = fit_rigidly(model, robot).to_robot(model) - robot
     residuals: list[LandmarkResidual] = []
     for number, name in enumerate(names or map(str, range(1, len(model) + 1))):
         others = np.delete(np.arange(len(model)), number)
         distance_m = probability = np.nan
         if len(model) > 3 and rms_extents_m(model[others])[1] >= MIN_WIDTH_m:
-            moved_m = fit_rigidly(model[others], robot[others]).carry(model)
+            moved_m = fit_rigidly(model[others], robot[others]).to_robot(model)
             error_m = moved_m[number] - robot[number]
             distance_m = float(np.linalg.norm(error_m))
             jacobian = displacement_jacobian(moved_m - moved_m[others].mean(axis=0))

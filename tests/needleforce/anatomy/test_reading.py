@@ -603,7 +603,7 @@ def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
     shown_mm = np.array(centred.GetInverse().TransformPoint(point_mm))
     expected_mm = [centred.TransformPoint(point_mm), shown_mm * RAS]
     places_m = [
-        read_transform(tmp_path / name, source).carry(1e-3 * np.array([point_mm]))[0]
+        read_transform(tmp_path / name, source).to_robot(1e-3 * np.array([point_mm]))[0]
         for source in ("itk", "slicer")
     ]
 
@@ -632,7 +632,7 @@ def test_a_matrix_carries_points_of_the_ct_as_lps_or_as_slicer_shows_them(
     point_mm = np.array([4.0, 5.0, -6.0])
     expected_mm = [TURN @ point + shift_mm for point in (point_mm, point_mm * RAS)]
     places_m = [
-        read_transform(tmp_path / name, source, unit).carry(1e-3 * point_mm[None])[0]
+        read_transform(tmp_path / name, source, unit).to_robot(1e-3 * point_mm[None])[0]
         for source in ("itk", "slicer")
     ]
 
