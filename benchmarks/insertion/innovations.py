@@ -66,7 +66,8 @@ def name_regimes(scenario: Scenario, truth: InsertionTruth) -> NDArray[np.str_]:
 def measure_whiteness(times_s: Array, scores: Array) -> dict[str, float]:
     """Return mean, variance and correlations of normalised innovations, shape (n,).
 
-    A pair is so far apart as the lag says, but for half a block of 10 ms.
+    A pair is so far apart as the lag says, but for half a block of 10 ms; there is no
+    correlation of fewer than 50 pairs.
     """
     values = {
         "innovation_mean": float(np.mean(scores)),
@@ -78,9 +79,11 @@ def measure_whiteness(times_s: Array, scores: Array) -> dict[str, float]:
         later = np.searchsorted(times_s, sought_s - 5e-3)
         later = np.minimum(later, len(times_s) - 1)
         is_pair = np.abs(times_s[later] - sought_s) < 5e-3
-        products = centred * centred[later]
-        name = f"innovation_correlation_{lag_ms}ms"
-        values[name] = np.mean(products[is_pair]) / np.var(scores)
+        if np.count_nonzero(is_pair) >= 50:
+            products = centred[is_pair] * centred[later[is_pair]]
+            values[f"innovation_correlation_{lag_ms}ms"] = float(
+                np.mean(products) / np.var(scores)
+            )
     return values
 
 
