@@ -15,7 +15,6 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.insertion.metrics import ADVANCING_m_s
 from benchmarks.insertion.signals import InsertionTruth, insertion_truth
 from benchmarks.insertion.simulated import identify_sources, read_sensors
 from benchmarks.jobs import Figure, Job, make_figures
@@ -25,7 +24,7 @@ from identification.mixture.learner import Learner
 
 SCENARIO = "stack-glove-constant"
 """It has all regimes: a layer without a membrane and two with one."""
-REGIMES = ("at rest in air", "air", "membrane", "cutting", "after a release")
+REGIMES = ("air", "membrane", "cutting", "after a release", "braking")
 
 
 @contextmanager
@@ -51,8 +50,9 @@ def name_regimes(scenario: Scenario, truth: InsertionTruth) -> NDArray[np.str_]:
     """
     depth_m = truth.depth_m
     names = np.full(len(depth_m), "cutting", dtype="<U15")
+    usual_m_s = np.median(truth.speed_m_s[truth.is_insertion])
+    names[truth.speed_m_s < 0.95 * usual_m_s] = "braking"
     names[depth_m <= 0.0] = "air"
-    names[(depth_m <= 0.0) & (np.abs(truth.speed_m_s) < ADVANCING_m_s)] = REGIMES[0]
     for boundary in Tissue(scenario.layers).interfaces:
         is_pushed_in = (depth_m > boundary.depth_m) & (depth_m <= boundary.onset_m)
         names[is_pushed_in] = "membrane"
