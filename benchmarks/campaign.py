@@ -183,11 +183,14 @@ def find_commit() -> str:
 
     Of a clone in which files are changed it ends with ``-dirty``.
     """
-    folder = Path(__file__).resolve().parents[1]
     command = ["git", "describe", "--always", "--dirty", "--abbrev=8"]
     try:
         answer = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=True
+            command,
+            cwd=Path(__file__).resolve().parents[1],
+            capture_output=True,
+            text=True,
+            check=True,
         )
     except (OSError, subprocess.CalledProcessError):
         return ""

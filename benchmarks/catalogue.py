@@ -152,12 +152,15 @@ def make_jobs(
     asked = ids or ("quick" if report is None else "paper",)
     names = dict.fromkeys(name for item in asked for name in GROUPS.get(item, (item,)))
     if unknown := [name for name in names if name not in BENCHMARKS]:
-        known = ", ".join((*GROUPS, *BENCHMARKS))
-        raise BenchmarkError(f"no benchmark {unknown[0]!r}; choose from: {known}")
+        raise BenchmarkError(
+            f"no benchmark {unknown[0]!r}; choose from: "
+            f"{', '.join((*GROUPS, *BENCHMARKS))}"
+        )
     known_plants = (*PLANTS, *PERTURBED_PLANTS)
     if wrong := [plant for plant in plants if plant not in known_plants]:
-        known = ", ".join(known_plants)
-        raise BenchmarkError(f"no plant {wrong[0]!r}; choose from: {known}")
+        raise BenchmarkError(
+            f"no plant {wrong[0]!r}; choose from: {', '.join(known_plants)}"
+        )
     jobs = []
     for name in names:
         item = BENCHMARKS[name]

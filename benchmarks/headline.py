@@ -218,21 +218,19 @@ def describe_code() -> dict[str, str]:
 
 
 def write_headline(path: Path, figures: pd.DataFrame) -> None:
-    """Write figures to a file, a number a line, so that a change of one is seen.
+    """Write figures to a file, one a line, so that a change of one is seen.
 
     Raises:
         ResultsError: It cannot be written.
     """
     versions = describe_code()
-    rounded = figures["value"].map(round_figure).astype(object)
-    known = figures.assign(value=rounded.where(rounded.notna(), None))
-    content = {
-        "schema": 1,
-        "commit": versions.pop("commit"),
-        "versions": versions,
-        "figures": known.rename_axis("name").reset_index().to_dict("records"),
-    }
+    head = {"schema": 1, "commit": versions.pop("commit"), "versions": versions}
+    rounded = figures.assign(value=figures["value"].map(round_figure))
+    rows = rounded.rename_axis("name").reset_index()
+    lines = rows.to_json(orient="records", lines=True, double_precision=15)
+    body = lines.strip().replace("\n", ",\n  ")
+    text = f'{json.dumps(head)[:-1]},\n "figures": [\n  {body}\n]}}\n'
     try:
-        path.write_text(f"{json.dumps(content, indent=1)}\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}") from error

@@ -91,8 +91,9 @@ def drive(
     report_ticks = 500
     max_position_error_rad = 0.02
     feed_forward, mass = _dynamics_along(model, motion)
-    ticks, joints = feed_forward.shape
-    trace = _empty_trace(ticks, joints)
+    ticks = len(feed_forward)
+    rows = []
+    forces = []
     plant.place(motion.q_rad[0], motion.dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
         error = motion.q_rad[k] - plant.q_rad
@@ -106,33 +107,25 @@ def drive(
                     f"less than {max_position_error_rad}"
                 )
             progress(k / ticks)
-        trace.q_rad[k] = plant.q_rad
-        trace.dq_rad_s[k] = plant.dq_rad_s
-        trace.tau_Nm[k] = torque
-        trace.axial_jacobian[k] = plant.axial_jacobian
-        trace.depth_m[k] = plant.depth_m
+        state = (plant.q_rad.copy(), plant.dq_rad_s.copy(), torque)
+        place = (plant.axial_jacobian, plant.depth_m)
         plant.tick(torque)
-        trace.ft_wrench[k] = plant.ft_wrench
-        trace.mean_axial_N[k] = plant.mean_axial_N
-        trace.joint_friction_Nm[k] = plant.friction_Nm
-        trace.forces.append(plant.tissue_force)
-    trace.axial_jacobian[-1] = plant.axial_jacobian
+        felt = (plant.ft_wrench.copy(), plant.mean_axial_N, plant.friction_Nm)
+        rows.append((*state, *place, *felt))
+        forces.append(plant.tissue_force)
     progress(1.0)
-    return trace
-
-
-def _empty_trace(ticks: int, joints: int) -> ArmTrace:
-    """Return a trace whose rows are not set yet."""
+    columns = map(np.array, zip(*rows, strict=True))
+    q, dq, tau, jacobian, depth, wrench, axial, friction = columns
     return ArmTrace(
-        q_rad=np.empty((ticks, joints)),
-        dq_rad_s=np.empty((ticks, joints)),
-        tau_Nm=np.empty((ticks, joints)),
-        joint_friction_Nm=np.empty((ticks, joints)),
-        ft_wrench=np.empty((ticks, 6)),
-        axial_jacobian=np.empty((ticks + 1, joints)),
-        depth_m=np.empty(ticks),
-        mean_axial_N=np.empty(ticks),
-        forces=[],
+        q_rad=q,
+        dq_rad_s=dq,
+        tau_Nm=tau,
+        axial_jacobian=np.vstack([jacobian, plant.axial_jacobian]),
+        depth_m=depth,
+        ft_wrench=wrench,
+        mean_axial_N=axial,
+        joint_friction_Nm=friction,
+        forces=forces,
     )
 
 

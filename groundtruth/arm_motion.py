@@ -127,8 +127,7 @@ def reach_pose(
     """
     data = robot.create_data()
     posture = np.array(posture_rad)
-    max_iterations = 60
-    for _ in range(max_iterations):
+    for _ in range(60):
         pin.framesForwardKinematics(robot.model, data, posture)
         error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
         if np.abs(error).max() < tolerance:
@@ -146,8 +145,6 @@ def reach_pose(
 
 def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
     """Raise `MotionError` for a posture outside the limits or near a singularity."""
-    # Of the Jacobian
-    max_condition = 30.0
     outside = (postures < robot.position_lower_rad) | (
         postures > robot.position_upper_rad
     )
@@ -160,7 +157,7 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
         jacobian = pin.computeFrameJacobian(
             robot.model, data, posture, robot.tool_frame_id
         )
-        if np.linalg.cond(jacobian) > max_condition:
+        if np.linalg.cond(jacobian) > 30.0:
             raise MotionError(
                 f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"
             )

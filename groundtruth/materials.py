@@ -53,7 +53,7 @@ def _layer(
     **others: Any,
 ) -> Layer:
     """Return a layer of organic tissue, but for what ``others`` change."""
-    usual = {
+    usual: dict[str, Any] = {
         "cutting_fraction": 0.1,
         "stiffening": 0.1,
         "release_m": 0.5e-3,  # fibrous tissue ruptures more gradually than gel

@@ -80,20 +80,17 @@ class Stroke:
         Outside the stroke they are those of its ends, at rest.
         """
         time = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
-        if self.profile == "quintic":
-            travelled, rate = _quintic_course(time)
-        elif self.profile == "cosine":
-            travelled, rate = _cosine_course(time)
-        elif self.profile == "cruise":
-            travelled, rate = _cruise_course(time, self.ramp_fraction)
-        else:
-            travelled = np.zeros_like(time)
-            rate = np.zeros_like(time)
+        travelled, rate = _COURSES[self.profile](time, self.ramp_fraction)
         position_m = self.start_m + self.travel_m * travelled
         return position_m, self.travel_m / self.duration_s * rate
 
 
-def _quintic_course(time: Array) -> tuple[Array, Array]:
+def _rest_course(time: Array, _: float) -> tuple[Array, Array]:
+    """Return no travel at no rate."""
+    return np.zeros_like(time), np.zeros_like(time)
+
+
+def _quintic_course(time: Array, _: float) -> tuple[Array, Array]:
     """Return the travelled fraction and its rate over time from 0 to 1: minimum jerk.
 
     x = 10 t³ - 15 t⁴ + 6 t⁵
@@ -103,7 +100,7 @@ def _quintic_course(time: Array) -> tuple[Array, Array]:
     return travelled, rate
 
 
-def _cosine_course(time: Array) -> tuple[Array, Array]:
+def _cosine_course(time: Array, _: float) -> tuple[Array, Array]:
     """Return the travelled fraction and its rate: half a period of a sinusoid.
 
     x = (1 - cos πt) / 2
@@ -130,6 +127,14 @@ def _cruise_course(time: Array, ramp: float) -> tuple[Array, Array]:
     travelled = np.where(time <= 0.5, half, 1.0 - half)
     rate = full_rate * q * q * (3.0 - 2.0 * q)
     return travelled, rate
+
+
+_COURSES = {
+    "rest": _rest_course,
+    "quintic": _quintic_course,
+    "cosine": _cosine_course,
+    "cruise": _cruise_course,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,21 +278,18 @@ def protocol(
         ramp_fraction: See `Stroke`.
         tare_stroke_m: Length of the tare stroke; 0 for none.
     """
-    first_rest_s = 1.0
-    turning_rest_s = 2.0
-    last_rest_s = 0.5
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
     tare = [Move("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)]
     travel_m = sum(move.travel_m for move in insertion)
     final = insertion[-1]
     withdrawal_s = final.duration_s * travel_m / final.travel_m
     moves = [
-        Move("rest", first_rest_s, 0.0),
+        Move("rest", 1.0, 0.0),
         *tare,
         *insertion,
-        Move("rest", turning_rest_s, 0.0),
+        Move("rest", 2.0, 0.0),
         Move(final.profile, withdrawal_s, -travel_m),
-        Move("rest", last_rest_s, 0.0),
+        Move("rest", 0.5, 0.0),
     ]
     strokes = chain_strokes(
         -standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction

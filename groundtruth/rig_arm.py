@@ -456,8 +456,10 @@ class SimulatedArm:
             gone = np.full(self.robot.nv, np.nan)
             self.inject(lambda sample: sample._replace(**{what: gone.copy()}), seconds)
         else:
-            expected = "q_rad, dq_rad_s, tau_Nm, sample or command"
-            raise PlantError(f"no {what!r} to lose; expected {expected}")
+            raise PlantError(
+                f"no {what!r} to lose; expected q_rad, dq_rad_s, tau_Nm, sample or "
+                "command"
+            )
 
     def refuse_commands(self, seconds: float) -> None:
         """Refuse all commands for some time from now on."""
@@ -515,9 +517,11 @@ def _tissue_below(
     pin.framesForwardKinematics(arm.model, data, home_rad)
     tip = data.oMf[arm.frame_id("needle_tip")]
     if scenario is None:
-        place = tip.translation.copy()
-        axis = tip.rotation[:, 2].copy()
-        return TissueContact(law=Tissue(()), surface_in_base_m=place, axis_in_base=axis)
+        return TissueContact(
+            law=Tissue(()),
+            surface_in_base_m=tip.translation.copy(),
+            axis_in_base=tip.rotation[:, 2].copy(),
+        )
     height_m = -scenario.motion.start_m if standoff_m is None else standoff_m
     # A push on the elbow is one of the arm's contacts.
     return replace(tissue_before(tip, height_m, scenario), elbow=None)
