@@ -42,12 +42,16 @@ def test_friction_at_a_speed_is_as_uncertain_as_its_parts_together():
         )
 
 
+def in_channel_from(zero_N, moved_m):
+    """The channel a minute later, with another zero of force and of depth."""
+    present = in_air(zero_N).snapshot()
+    return continue_channel(channel_of_ten_millimetres(), present, moved_m, 60.0)
+
+
 def in_channel(zero_N):
     """The last estimate, 2.2 mm in the channel, with a force of that mean in air."""
-    present = in_air(zero_N).snapshot()
-    channel = continue_channel(channel_of_ten_millimetres(), present, 0.0, 60.0)
     identifier = Identifier()
-    identifier.restore(channel)
+    identifier.restore(in_channel_from(zero_N, 0.0))
     depth_m = -1e-3 + SPEED_M_S * STEP_S * np.arange(200)
     force_N = zero_N + 40.0 * np.maximum(depth_m, 0.0)
     rows = rows_of(depth_m, SPEED_M_S, force_N, STEP_S)
@@ -64,3 +68,17 @@ def test_a_zero_that_has_drifted_changes_no_friction_in_the_channel(zero_N):
     assert forces_N == pytest.approx(
         (as_before.shaft_friction_N, as_before.predicted_force_N), abs=0.01
     )
+
+
+def test_a_channel_is_where_it_was_when_depth_counts_from_elsewhere():
+    identifier = Identifier()
+    identifier.restore(channel_of_ten_millimetres())
+    entry_m = 0.02 + identifier.contact_depth_m
+    identifier.restore(in_channel_from(0.0, 0.02))
+
+    assert identifier.contact_depth_m == pytest.approx(entry_m, abs=1e-9)
+
+    depths_m = entry_m + SPEED_M_S * STEP_S * np.arange(-60, 61)
+    _, estimates = run(rows_of(depths_m, SPEED_M_S, 0.0, STEP_S), identifier)
+
+    assert (estimates[30].layer, estimates[-1].layer) == (0, 1)
