@@ -394,10 +394,8 @@ def test_a_point_is_a_target_and_a_line_a_path(capsys, fields):
     write_markup("point.mrk.json", "Fiducial", ["here"], ends_m[1:])
     write_markup("line.mrk.json", "Line", ["b", "a"], np.array([ends_m[1], outside_m]))
     x_mm, y_mm, z_mm = 1e3 * ends_m[1]
-    for name in ("point.csv", "P.TXT"):
-        Path(name).write_text(f"x_mm,y_mm,z_mm\n{x_mm},{y_mm},{z_mm}\n")
+    Path("P.TXT").write_text(f"x_mm,y_mm,z_mm\n{x_mm},{y_mm},{z_mm}\n")
     for name, file in (
-        ("table", "point.csv --frame lps"),
         ("text", "P.TXT --frame lps"),
         ("point", "point.mrk.json"),
         ("line", "line.mrk.json"),

@@ -48,7 +48,8 @@ def test_the_arm_yields_beyond_a_dead_zone_only(sign):
     assert velocity(guidance, 5.0 * sign, 3000) == pytest.approx(
         expected_rad_s, rel=1e-2
     )
-    assert velocity(guidance, 0.9 * sign * ZONE_Nm, 100).all()
+    led_rad_s = velocity(guidance, 0.9 * sign * ZONE_Nm, 100)
+    assert (np.abs(led_rad_s) > 0.4 * ZONE_Nm / 10.0).all()
     assert not velocity(guidance, 0.9 * sign * ZONE_Nm, 4000).any()
 
 

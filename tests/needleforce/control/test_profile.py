@@ -182,6 +182,25 @@ def test_a_stroke_begins_where_its_state_begins(approach_m):
         assert entered_m[state] == pytest.approx(-0.03 + approach_m, abs=1e-4)
 
 
+def test_a_needle_comes_to_rest_at_its_depth_by_its_acceleration():
+    plan = InsertionPlan(speed_m_s=0.02, depth_m=0.03, acceleration_m_s2=0.02)
+    profile = InsertionProfile(plan)
+    depths_m = [0.0]
+    for k in range(4000):
+        situation = make_situation(State.INSERTION, depths_m[-1], k, k * DT)
+        step = profile.update(situation)
+        depths_m.append(depths_m[-1] + DT * step.speed_m_s)
+        if step.event:
+            break
+
+    speeds_m_s = np.diff(depths_m[:-1]) / DT  # the last step ends what is left
+
+    assert step.event == "arrived"
+    assert depths_m[-1] == pytest.approx(0.03, abs=1e-4)
+    assert np.abs(np.diff(speeds_m_s)).max() <= 0.0201 * DT
+    assert speeds_m_s[-1] < 2e-3
+
+
 @pytest.mark.parametrize("wrong", [{"layer": 1.5}, {"layer": 0}, {"depth_m": np.nan}])
 def test_a_plan_that_never_ends_is_refused(wrong):
     with pytest.raises(SettingError, match=next(iter(wrong))):

@@ -171,8 +171,9 @@ def write_report(path):
         paragraphs=(hostile("text"),),
         tables=(table,),
     )
-    title, lead = hostile("title"), (hostile("warning"),)
-    write_page(path, Page(title=title, lead=lead, sections=(section,) * 3))
+    lead = (hostile("warning"),)
+    page = Page(title=hostile("title"), lead=lead, sections=(section,) * 3)
+    write_page(path, page)
 
 
 @pytest.mark.slow
