@@ -22,6 +22,7 @@ from needleforce.cli.terminal import OTHER_ROBOT, CommandError, warn
 from needleforce.recordings.channels import read_toml
 from needleforce.recordings.table import LinkTransforms, TableLabels
 from urdf import NeedleTool, Payload, Robot
+from urdf.errors import finite_array
 from urdf.joint_choice import joints_towards, movable_joints
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -280,7 +281,13 @@ def with_friction(
     if not tables:
         return robot, None
     ((name, table),) = tables.items()
-    return robot, convert_table(models[name], table, f"{path}: [{name}]")
+    friction = convert_table(models[name], table, f"{path}: [{name}]")
+    for item in fields(friction):
+        values = getattr(friction, item.name)
+        if isinstance(values, np.ndarray):
+            where = f"{path}: [{name}]: {item.name}, one number per joint,"
+            finite_array(values, (robot.nv,), where)
+    return robot, friction
 
 
 def sensor_config(

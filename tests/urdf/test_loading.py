@@ -15,7 +15,6 @@ from urdf import (
     UnknownNameError,
     UnsupportedJointError,
     UrdfFileError,
-    description,
     joints_towards,
     load_urdf,
     movable_joints,

@@ -468,7 +468,8 @@ def test_a_needle_beside_its_plan_or_turned_is_too_near_though_the_plan_is_not(
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), step_mm=st.sampled_from([0.02, 0.2, 2.0]))
 def test_distances_are_right_to_a_tenth_whatever_was_measured_before(seed, step_mm):
-    around, fresh = surroundings(), surroundings()
+    around = surroundings()
+    fresh = surroundings()
     aside_m = 0.0
     for step_m in np.random.default_rng(seed).normal(0.0, 1e-3 * step_mm, 50):
         judge(fresh, 0.02)

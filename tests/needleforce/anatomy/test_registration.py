@@ -278,7 +278,9 @@ SLIPS_m = np.pad([0.015, -0.008, 0.02], (36, 1))
 )
 def test_the_target_lies_in_its_region_or_the_patient_moved(case, worst_mm, refused):
     rng = np.random.default_rng(1000)
-    errors_m, inside, refusals = [], [], []
+    errors_m = []
+    inside = []
+    refusals = []
     for _ in range(6):
         landmarks_m, touches_m, target_m = touch(rng, **case)
         try:
