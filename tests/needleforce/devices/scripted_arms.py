@@ -357,7 +357,7 @@ def drive(name, end, path):
 if __name__ == "__main__":
     # A shell lets what it starts in the background ignore this signal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    link.SILENCE_S = 5.0  # a pause of this machine is no silence of an arm
+    link.SILENCE_S = 1.0  # a pause of this machine is no silence of an arm
     folder, *ends = sys.argv[1:]
     for kind, end in itertools.product(KINDS, ends):
         if os.fork() == 0:  # rather than importing all again

@@ -34,7 +34,7 @@ def put_all(recorder, samples):
 
 @pytest.fixture
 def arms(monkeypatch):
-    """The arms that commands open: 400 measurements are sent to each, then none."""
+    """The arms that commands open: 2000 measurements are sent to each, then none."""
     opened = []
     rows = SIGNAL[None]
     with ExitStack() as controllers:
@@ -43,9 +43,7 @@ def arms(monkeypatch):
             arm = FriArm(*address, **settings, give_up_s=0.6)
             opened.append(arm)
             port = arm.address.port
-            sent = FriSettings(
-                port=port, q_rad=rows, tau_Nm=rows, cycles=400, extra_wait_s=0.3
-            )
+            sent = FriSettings(port=port, q_rad=rows, tau_Nm=rows, cycles=2000)
             controllers.enter_context(Emulator(emulate_fri, sent))
             return arm
 

@@ -199,7 +199,6 @@ def test_an_insertion_is_followed_by_the_node(arm):
     layer_values = {pair.key: pair.value for pair in layer.values}
     assert layer.name == "layer 1"
     assert float(layer_values["stiffness_N_per_m"]) > 0.0
-    assert layer_values["is_final"] == "true"
 
 
 @pytest.mark.parametrize("setting", ["queue_depth:=0", "gain_per_s:=70"])
