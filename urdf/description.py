@@ -10,6 +10,8 @@ declares, as in Fetch's old ``<sensor:camera>``, stops no file.
 
 import re
 from collections.abc import Iterable
+from itertools import product
+from math import isfinite
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 from xml.parsers import expat
@@ -29,6 +31,9 @@ MAX_JOINTS = 499
 """Most joints of a robot, fixed ones included. urdfdom and Pinocchio recurse once per
 link of a chain and end the process when the stack is used up (between 3000 and 6000
 links at 8 MB). Assign a larger number to load a larger robot."""
+
+DIGITS_ONLY = "Write digits with a decimal point: no commas, formulas or units."
+"""Advice for a number that the URDF reader does not read."""
 
 _KEPT = {
     "link": {"inertial"},
@@ -133,11 +138,11 @@ def build_model(root: Element, source: str) -> pin.Model:
         raise UrdfFileError(  # of all that is no tree, its reader takes this alone
             f"{source}: is not a valid URDF: {', '.join(twice)} hang on two joints"
         )
+    _check_inertials(root, source)
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed":
             _complete_limits(joint)
     try:
-        written_kg = _prepare_inertials(root)
         model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise UrdfFileError(
@@ -148,6 +153,8 @@ def build_model(root: Element, source: str) -> pin.Model:
     has_no_room = model.lowerPositionLimit >= model.upperPositionLimit
     model.lowerPositionLimit[has_no_room] = -np.inf
     model.upperPositionLimit[has_no_room] = np.inf
+    masses = root.iterfind("link/inertial/mass[1]")
+    written_kg = sum(float(mass.attrib["value"]) for mass in masses)
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
     rounding = 1e-12  # relative, of sums of some hundred masses
     if not np.isclose(loaded_kg, written_kg, rtol=rounding, atol=0.0):
@@ -155,30 +162,35 @@ def build_model(root: Element, source: str) -> pin.Model:
             f"{source}: the masses in the file add up to {written_kg:g} kg, those of "
             f"the loaded model to {loaded_kg:g} kg: its reader drops an <inertial> of "
             "which it cannot read a number, and names link and number on stderr",
-            "Write digits with a decimal point: no commas, formulas or units.",
+            DIGITS_ONLY,
         )
     return model
 
 
-def _prepare_inertials(root: Element) -> float:
-    """Remove the inertials of links of mass 0, and return the mass of the others [kg].
+def _check_inertials(root: Element, source: str) -> None:
+    """Check what urdfdom would drop without a word; a link of mass 0 is no body.
+
+    An origin that it cannot read shows in the sum of the masses: the mass goes, too.
 
     Raises:
-        ValueError: A number of an inertia that urdfdom does not read: it would load the
-            mass without it.
+        UrdfFileError: A mass or moment is no finite number.
     """
-    number = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d\d?)?", re.ASCII)
+    # What urdfdom reads as a number: no nan, inf, hexadecimal, comma or _.
+    number = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
     moments = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    written_kg = 0.0
+    attributes = [("mass", "value"), *(("inertia", key) for key in moments)]
     for link in root.findall("link[inertial]"):
-        words = [read_attribute(link, "inertial/inertia", key) for key in moments]
-        if not all(map(number.fullmatch, words)):
-            raise ValueError(f"link {link.get('name')!r} has the inertia {words}")
-        mass_kg = float(read_attribute(link, "inertial/mass", "value"))
-        written_kg += mass_kg
-        if mass_kg == 0.0:
+        for inertial, (tag, key) in product(link.findall("inertial"), attributes):
+            text = read_attribute(inertial, tag, key)
+            if not number.fullmatch(text) or not isfinite(float(text)):
+                raise UrdfFileError(
+                    f"{source}: link {link.get('name')!r}: <inertial> <{tag} "
+                    f'{key}="{text}"> has to be a number; the URDF reader would drop '
+                    "it",
+                    DIGITS_ONLY,
+                )
+        if float(read_attribute(link, "inertial/mass", "value")) == 0.0:
             del link[:]
-    return written_kg
 
 
 def read_attribute(element: Element, path: str, key: str) -> str:

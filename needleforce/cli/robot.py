@@ -4,7 +4,7 @@ Arm, payload, friction and settings.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -98,17 +98,19 @@ def _keep_joints(
         CommandError: The joints of the log are none of the robot's.
     """
     path = Path(str(options.urdf))
-    way: tuple[str, ...] = ()
-    with suppress(urdf.UnknownNameError):  # no single last link
-        way = joints_towards(path, options.tool_frame, options.without)
     movable = [
         name for name in movable_joints(path, options.without) if name not in locked
     ]
     kept = tuple(name for name in movable if name in joints)
+    way: tuple[str, ...] = ()
+    # Only names tell the joints where there is no single last link.
+    with suppress(urdf.UnknownNameError) if kept else nullcontext():
+        way = joints_towards(path, options.tool_frame, options.without)
     if not any(joints):
         is_whole = len(joints) == len(movable)
         free = movable if is_whole else [name for name in way if name not in locked]
-        kept = tuple(free[-len(joints) :]) if 0 < len(joints) <= len(free) else ()
+        # Without a log the whole way stays.
+        kept = tuple(free[-len(joints) :]) if len(joints) <= len(free) else ()
     if not kept:
         named = ", ".join(filter(None, joints)) or f"{len(joints)} columns each"
         raise CommandError(
@@ -165,6 +167,12 @@ def _check_robot_options(options: RobotOptions) -> None:
         raise CommandError(
             "--lock, --lock-others and --accept-inertia are for a robot of --urdf "
             "FILE; known robots have no joints to lock and all their inertia"
+        )
+    is_for_tool = options.tool_frame or options.tip_offset or options.without
+    if is_for_tool and options.is_lwr:
+        raise CommandError(
+            "--tool-frame, --tip-offset and --without describe a robot of --robot "
+            "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
         )
     # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
     if options.gravity and not 9.7 <= np.linalg.norm(options.gravity) <= 9.9:
@@ -277,7 +285,8 @@ def with_friction(
             f"{' or '.join(models)}, and rotor_inertia_kg_m2 if it counts"
         )
     if rotor_inertia is not None:
-        robot = robot.with_armature(rotor_inertia)
+        where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
+        robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
     if not tables:
         return robot, None
     ((name, table),) = tables.items()

@@ -195,16 +195,15 @@ def progress_bar(label: str) -> Iterator[Progress]:
     Args:
         label: What is done.
     """
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda _: None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
     # What is said meanwhile stands above the bar; the bar leaves no trace.
     with Progress(
-        console=console,
-        transient=True,
-        redirect_stdout=False,
-        disable=not console.is_terminal,
+        console=Console(stderr=True), transient=True, redirect_stdout=False
     ) as bar:
         task = bar.add_task(label, total=None)
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)

@@ -470,11 +470,11 @@ def load_layouts(*paths: str | Path) -> Knowledge:
         try:
             content = _merged(content, read_toml(path, "layout"))
             knowledge = _convert(content)
-            for layout in knowledge.layouts:
-                mapping_of_layout(layout, knowledge)
         except (FormatError, msgspec.ValidationError) as error:
             raise MappingError(f"{path}: {error}") from error
-
+    # A layout may use channels that a later file defines.
+    for layout in knowledge.layouts:
+        mapping_of_layout(layout, knowledge)
     return knowledge
 
 

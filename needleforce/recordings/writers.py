@@ -180,6 +180,8 @@ def bag_topics(
     # Without a header: the time stamp is the one of the record.
     for name, values in flat_columns(remaining).items():
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
+        if topic in topics:
+            raise LogError(f"two columns would become the topic {topic}: rename one")
         number = partial(_message, "std_msgs/msg/Float64")
         topics[topic] = map(number, values.tolist())
 

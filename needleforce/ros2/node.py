@@ -86,6 +86,7 @@ class NeedleNode(LifecycleNode):
         self._make_robot = make_robot
         self._prepare = prepare
         self.is_stopped = False
+        self.failure: NeedleforceError | None = None
         self._is_active = False
 
     def value(self, name: str) -> Any:
@@ -97,7 +98,7 @@ class NeedleNode(LifecycleNode):
     def on_configure(self, state: Any) -> Any:
         """Find out what the arm is; make topics, services and the session."""
         self._own = self._list_entities()
-        self.failure: NeedleforceError | None = None
+        self.failure = None
         try:
             self._open(self._make_robot(self._wait_for_description))
         except NeedleforceError as error:

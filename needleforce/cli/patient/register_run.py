@@ -168,7 +168,7 @@ def _fit_of_transform(
 ) -> Registration:
     """Return the registration of a transform with one deviation at the patient."""
     ends_m = np.array([fields["entry_m"], fields["target_m"]])
-    entry_m, target_m = motion.carry(ends_m)
+    entry_m, target_m = motion.to_robot(ends_m)
     path = PlannedPath.of_std(entry_m, target_m, std_m)
     return Registration(
         rotation=motion.rotation,
