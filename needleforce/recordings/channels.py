@@ -464,21 +464,24 @@ def load_layouts(*paths: str | Path) -> Knowledge:
         FileAccessError: One cannot be read.
         MappingError: One is not TOML, or has an entry that is not valid.
     """
-    content = tomllib.loads(Path(__file__).with_name("layouts.toml").read_text("utf-8"))
-    knowledge = _convert(content)
+    content = SHIPPED
     for path in paths:
         try:
             content = _merged(content, read_toml(path, "layout"))
-            knowledge = _convert(content)
+            _convert(content)
         except (FormatError, msgspec.ValidationError) as error:
             raise MappingError(f"{path}: {error}") from error
+    knowledge = _convert(content)
     # A layout may use channels that a later file defines.
     for layout in knowledge.layouts:
         mapping_of_layout(layout, knowledge)
     return knowledge
 
 
-KNOWLEDGE = load_layouts()
+SHIPPED = tomllib.loads(Path(__file__).with_name("layouts.toml").read_text("utf-8"))
+"""Content of the file of layouts that comes with the package."""
+
+KNOWLEDGE = _convert(SHIPPED)
 """What is known without a user's files."""
 
 CHANNELS: Mapping[str, Channel] = KNOWLEDGE.channels

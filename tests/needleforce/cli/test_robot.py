@@ -5,6 +5,8 @@ import re
 import pytest
 
 from needleforce.cli import main
+from needleforce.cli.options import RobotOptions
+from needleforce.cli.robot import robot_from_options
 from needleforce.recordings import read_table, write_table
 from tests.needleforce.cli.residual_command_log import (
     AXIAL_N,
@@ -84,6 +86,12 @@ def test_joints_that_the_log_names_are_kept_in_the_order_of_the_robot(
     assert "arm, 3 joints" in out
     assert "arm, 2 joints" in locked
     assert err == ""
+
+
+def test_without_a_log_the_joints_on_the_way_to_the_tool_are_kept(arm):
+    options = RobotOptions(urdf=str(arm), lock_others=True, tool_frame="tip")
+
+    assert robot_from_options(options, None).joint_names == ("shoulder", "elbow")
 
 
 @pytest.mark.parametrize("mapping", ['joints = ["elbow"]', "joints = []"])
