@@ -18,7 +18,13 @@ from foundation.records import read_column, read_element
 from identification.estimate import Rupture
 from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.events import History
-from identification.mixture.force_model import FADING, OFFSET, RELEASED
+from identification.mixture.force_model import (
+    FADING,
+    LAYER_VISCOUS,
+    OFFSET,
+    RELEASED,
+    TRAVERSED_VISCOUS,
+)
 from identification.mixture.mixture import MIN_BETWEEN_RUPTURES_MM, Mixture
 from identification.mixture.tissue_motion import TissueMotion
 
@@ -121,9 +127,13 @@ def compare_counts(
             most = history.rupture_force_N - mean[OFFSET]
             released = min(mean[RELEASED] - mean[FADING], most)
             # A late component with a rupture is rather a change of the tissue, unless
-            # the force is still lower.
+            # the force is still lower at the same speed.
             is_late = block.time_s - history.rupture_s > 0.5
-            is_undone = is_late and history.rupture_force_N <= block.force_N
+            length_mm = max(block.depth_mm - mixture.assumptions[k].layer_start_mm, 0.0)
+            damping = mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm
+            by_speed_N = damping * (block.speed_mm_s - history.rupture_speed_mm_s)
+            force_before_N = history.rupture_force_N + by_speed_N
+            is_undone = is_late and force_before_N <= block.force_N
             if released > clear_fall and not is_undone:
                 more += weight
                 if likeliest < 0 or weight > evidence.weights[likeliest]:
