@@ -88,7 +88,7 @@ OPTIONS = {
     "--gain inf": "gain_per_s",
     "--insertion-axis 0 0 0": "zero",
     "--friction part.toml": "coulomb_Nm",
-    "--friction short.toml": "7 finite numbers",
+    "--friction short.toml": "viscous_Nms",
     "--friction rotor_sign.toml": "negative",
     "--tare 4": "START:END",
     "--tare 0:soon": "0:soon",
