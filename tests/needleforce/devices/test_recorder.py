@@ -103,6 +103,7 @@ def rows_of(path):
     [
         (signal.SIGINT, "mcap", 0.5),
         (signal.SIGTERM, "csv", 0.0),
+        (signal.SIGHUP, "mcap", 0.0),
         (signal.SIGKILL, "csv", 1.5),  # a busy machine writes later
         (signal.SIGKILL, "mcap", 1.5),
     ],
