@@ -13,6 +13,7 @@ from identification import (
     Identifier,
     MixtureConfig,
     SampleStatus,
+    TissueWarning,
     replay,
 )
 from tests.identification.worlds import (
@@ -61,6 +62,11 @@ def test_two_layers_are_found_reported_twice_and_split_within_their_deviations(s
         force_N = np.array(values_of(estimates[6000:], f"{name}_N"))
         std_N = np.array(values_of(estimates[6000:], f"{name}_std_N"))
         assert np.mean(np.abs(force_N - truth_N) < 2.0 * std_N + 5e-3) > 0.9
+    last = estimates[-1]
+    assert (last.layer, last.tip_force_N, last.enhanced_force_N) == pytest.approx(
+        (3, 0.0, 0.0), abs=0.1
+    )
+    assert not any(TissueWarning.UNEXPLAINED in each.warnings for each in estimates)
 
 
 def test_a_provisional_alarm_comes_first_and_is_confirmed():

@@ -32,6 +32,14 @@ def test_a_force_that_a_long_rest_leaves_is_split_as_before():
     assert found[-1].tip_force_N == pytest.approx(advancing.tip_force_N, abs=0.1)
 
 
+def test_friction_may_let_go_at_rest():
+    _, estimates = run(insertion([(12e-3, 3.0), (0.0, 1.5)], seed=5))
+    resting = estimates[4400]
+
+    assert resting.shaft_friction_N < 0.95 * estimates[3100].shaft_friction_N
+    assert abs(resting.shaft_friction_N - 0.1) < 2.0 * resting.shaft_friction_std_N
+
+
 def kept_at_second_stop(kept):
     """Friction, over that before the stop, at the second stop that keeps a fraction."""
     speed_m_s = np.tile(np.repeat([3e-3, 0.0], [1_000, 250]), 2)

@@ -100,6 +100,7 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
 
     assert np.abs(travel.depth_m - depth_m).max() < 6e-5
     assert late.mean() * t_s[-1] < 0.3
+    assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
 
 
 def test_rest_of_a_rounded_depth_teaches_no_noise():
