@@ -53,18 +53,20 @@ def simulated_benchmarks() -> Iterator[tuple[str, Benchmark]]:
     """Yield the insertions, then the drawn ones, then those in perturbed worlds."""
     simulated = "benchmarks.insertion.simulated"
     for name, item in SCENARIOS.items():
-        possible = PLANTS if item.layers else tuple(PLANT_MODELS)
         yield (
             name,
             Benchmark(
-                title=item.title, module=simulated, group="insertion", possible=possible
+                title=item.title,
+                module=simulated,
+                group="insertion",
+                possible=PLANTS if item.layers else tuple(PLANT_MODELS),
             ),
         )
     for name in DRAWN:
         yield (
             name,
             Benchmark(
-                title="layers, motion and speed drawn anew for every seed",
+                title="tissue drawn anew for every seed",
                 module=simulated,
                 group="random",
                 plants=(NEEDLE,),

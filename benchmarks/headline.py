@@ -4,6 +4,7 @@
 """
 
 import json
+import math
 from collections.abc import Callable
 from ctypes import CDLL
 from dataclasses import replace
@@ -225,10 +226,12 @@ def write_headline(path: Path, figures: pd.DataFrame) -> None:
     """
     versions = describe_code()
     head = {"schema": 1, "commit": versions.pop("commit"), "versions": versions}
-    rounded = figures.assign(value=figures["value"].map(round_figure))
-    rows = rounded.rename_axis("name").reset_index()
-    lines = rows.to_json(orient="records", lines=True, double_precision=15)
-    body = lines.strip().replace("\n", ",\n  ")
+    lines = []
+    for row in figures.rename_axis("name").reset_index().to_dict("records"):
+        number = round_figure(row["value"])
+        row["value"] = number if math.isfinite(number) else None
+        lines.append(json.dumps(row, separators=(",", ":")))
+    body = ",\n  ".join(lines)
     text = f'{json.dumps(head)[:-1]},\n "figures": [\n  {body}\n]}}\n'
     try:
         path.write_text(text, encoding="utf-8")

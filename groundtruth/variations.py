@@ -1,9 +1,9 @@
 """Tissues outside the law that our mixture estimator assumes, each with its source.
 
 A catalogued layer has a nearly linear tip force that is released altogether within
-half a millimetre, friction in proportion to the embedded length, and no texture. The
-estimator expects such a layer first, others with smaller priors. A variation changes
-one of these in every layer, and nothing else.
+half a millimetre, friction in proportion to the embedded length, no texture, and a cut
+that does not slip. The estimator expects such a layer first, others with smaller
+priors. A variation changes one of these in every layer, and nothing else.
 """
 
 from dataclasses import dataclass, replace
@@ -121,15 +121,15 @@ VARIATIONS = {
     # Barnett: 21 %. Liver: 65 to 95 %.
     "friction-20": TissueVariation(friction_fraction=0.2),
     "friction-75": TissueVariation(friction_fraction=0.75),
-    # Chosen: drops of 0.05 to 0.15 N every 0.3 to 2 mm, as an independent simulator had
-    # them whose ruptures a force sensor of 10 mN told badly from them.
+    # Chosen: drops of 0.05 to 0.15 N every 0.3 to 2 mm, which a force sensor of 10 mN
+    # sees as clearly as small ruptures.
     "stick-slip": TissueVariation(slip_N=0.15),
 }
 """One change at a time, by name."""
 
 
 def random_variation(rng: np.random.Generator) -> TissueVariation:
-    """Draw the law of one layer within the ranges of the named variations.
+    """Draw the law of one layer within the ranges of the variations but stick-slip.
 
     A plateau, kept force and a power law of speed are kinds, not degrees: one layer in
     four, in two, in four has them.

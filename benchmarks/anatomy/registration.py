@@ -140,6 +140,7 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
         front, axis, aside = rng.normal(size=(3, 3))
         points = touch(mesh, front / np.linalg.norm(front), rng)
         truth = pose(rng)
+        # Farther than any start from which a fit finds its way back.
         turn = rng.uniform(np.pi / 4, np.pi) * axis / np.linalg.norm(axis)
         off = truth[0] @ Rotation.from_rotvec(turn).as_matrix()
         middle = points.mean(axis=0)

@@ -35,7 +35,7 @@ CASES = (
         for by in SOURCES
         for v in (2.3, 5.0, 10.0, 20.0)  # mm/s
     ),
-    *(f"{s} bone {v:g}" for s in SERVOS for v in (5.0, 20.0)),
+    *(f"{s} bone {v:g}" for s in SERVOS for v in (5.0, 20.0)),  # mm/s
     *(f"{s} side" for s in SERVOS),
     *(f"{s} lost {what}" for s in SERVOS for what in LOST),
 )

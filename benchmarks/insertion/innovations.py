@@ -2,8 +2,8 @@
 
 An innovation is what a block's force differs by from the mixture's prediction. Over its
 predicted deviation it has mean 0, variance 1 and no correlation from block to block, as
-far as what the identifier assumes is right. It has none where the needle rests in
-tissue: there it does not learn.
+far as what the identifier assumes is right. It has none where nothing is learnt, as at
+rest in tissue.
 """
 
 import math
@@ -15,6 +15,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.insertion.metrics import beyond_last_exit
 from benchmarks.insertion.signals import InsertionTruth, insertion_truth
 from benchmarks.insertion.simulated import identify_sources, read_sensors
 from benchmarks.jobs import Figure, Job, make_figures
@@ -44,23 +45,23 @@ def note_innovations() -> Iterator[list[tuple[float, float]]]:
 
 
 def name_regimes(scenario: Scenario, truth: InsertionTruth) -> NDArray[np.str_]:
-    """Return one of `REGIMES` for each sample, shape (n,); empty in the withdrawal.
+    """Return one of `REGIMES` for each sample, shape (n,); empty where there is none.
 
-    After a release is within 2 mm of its onset: the longest in liver takes so much.
+    After a release is within 2 mm of its onset: the longest in liver takes so much. The
+    needle brakes behind the last layer, for some 30 blocks.
     """
     depth_m = truth.depth_m
     names = np.full(len(depth_m), "cutting", dtype="<U15")
-    usual_m_s = np.median(truth.speed_m_s[truth.is_insertion])
-    names[truth.speed_m_s < 0.95 * usual_m_s] = "braking"
+    is_usual = truth.speed_m_s >= 0.95 * np.median(truth.speed_m_s[truth.is_insertion])
+    names[~is_usual] = "braking"
     names[depth_m <= 0.0] = "air"
     for boundary in Tissue(scenario.layers).interfaces:
-        is_pushed_in = (depth_m > boundary.depth_m) & (depth_m <= boundary.onset_m)
-        names[is_pushed_in] = "membrane"
+        past_m = depth_m - boundary.onset_m
+        names[(depth_m > boundary.depth_m) & (past_m <= 0.0)] = "membrane"
         if boundary.drop_N > 0.0:
-            past_m = depth_m - boundary.onset_m
             names[(past_m > 0.0) & (past_m < 2e-3)] = "after a release"
-    names[truth.t_s > truth.insertion_end_s] = ""
-    return names
+    names[beyond_last_exit(truth) & (names == "cutting")] = ""
+    return np.where(truth.t_s > truth.insertion_end_s, "", names)
 
 
 def measure_whiteness(times_s: Array, scores: Array) -> dict[str, float]:
@@ -76,13 +77,11 @@ def measure_whiteness(times_s: Array, scores: Array) -> dict[str, float]:
     centred = scores - np.mean(scores)
     for lag_ms in (10, 20, 50):
         sought_s = times_s + 1e-3 * lag_ms
-        later = np.searchsorted(times_s, sought_s - 5e-3)
-        later = np.minimum(later, len(times_s) - 1)
+        later = np.searchsorted(times_s, sought_s - 5e-3).clip(max=len(times_s) - 1)
         is_pair = np.abs(times_s[later] - sought_s) < 5e-3
         if np.count_nonzero(is_pair) >= 50:
-            products = centred[is_pair] * centred[later[is_pair]]
             values[f"innovation_correlation_{lag_ms}ms"] = float(
-                np.mean(products) / np.var(scores)
+                np.mean(centred[is_pair] * centred[later[is_pair]]) / np.var(scores)
             )
     return values
 

@@ -1,8 +1,8 @@
 """Estimators in perturbed worlds, by the arm or by the needle alone.
 
 The needle alone is enough for the identification. The published method runs on the F/T
-force everywhere; on the virtual force only where the plant itself is what changes,
-since its sensor would double the time.
+force where no arm is simulated; on the virtual force only where the plant itself is
+what changes, since its sensor would double the time.
 """
 
 from collections.abc import Iterator
