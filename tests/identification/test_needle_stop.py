@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identification import replay
-from tests.identification.worlds import insertion, noisy, rows_of, run
+from tests.identification.worlds import insertion, noisy, rows_of, run, values_of
 
 
 @pytest.mark.parametrize("kept_friction", [1.0, 0.7, 0.5])
@@ -38,6 +38,15 @@ def test_friction_may_let_go_at_rest():
 
     assert resting.shaft_friction_N < 0.95 * estimates[3100].shaft_friction_N
     assert abs(resting.shaft_friction_N - 0.1) < 2.0 * resting.shaft_friction_std_N
+
+
+def test_a_rupture_after_a_reversal_is_found_by_a_needle_that_speeds_up():
+    """Friction at 10 mm/s makes the force higher than it was before the rupture."""
+    moves = [(19e-3, 4.75), (-0.1e-3, 0.2), (0.6e-3, 0.5), (15e-3, 1.5)]
+    _, estimates = run(insertion(moves))
+    (rupture,) = values_of(estimates, "rupture")
+
+    assert rupture.depth_m == pytest.approx(15e-3, abs=0.1e-3)
 
 
 def kept_at_second_stop(kept):
