@@ -194,6 +194,16 @@ def test_an_impossible_handle_sample_counts_as_none(sample):
     assert forces_N[0].tolist() == forces_N[1].tolist()
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_velocity_that_positions_contradict_counts_along_them_and_no_faster(way):
+    watch = HandleWatch()
+    for k in range(400):
+        sample = handle(way * 1e-4 * k, velocity_m_s=np.array([0.3, 0.0, way * 0.05]))
+        used = watch.update(sample, DT).reading
+
+    assert used.velocity_m_s == pytest.approx([0.0, 0.0, way * 0.05], abs=1e-6)
+
+
 def reasons_of(samples):
     """Return why the needle stands, of every sample; None is one that was not sent."""
     tele = teleoperate()
