@@ -162,8 +162,11 @@ def test_every_link_leads_to_a_file(page):
 def test_the_examples_of_a_task_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (DOCS / "how-to" / f"{page}.md").read_text(encoding="utf-8")
-    for code in examples(text):
+    codes = examples(text)
+    for code in codes:
         run_example(code)
+
+    assert codes
 
 
 # docs/how-to/your-robot.md runs as it stands, and what it measures is what it hung

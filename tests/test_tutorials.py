@@ -124,9 +124,12 @@ def test_a_recording_of_the_live_arm_prints_what_is_shown(run):
 def test_the_plan_of_the_page_is_the_one_shown(run):
     pytest.importorskip("SimpleITK")
     names = [arguments[0] for arguments, _ in commands("ct-to-needle")]
+    said = ""
     for arguments, answer in commands("ct-to-needle")[: names.index("plan") + 1]:
         if arguments[0] in ("simulate", "plan") and "sim" not in arguments[1]:
-            run(arguments, answer)
+            said = run(arguments, answer)
+
+    assert said
 
 
 def free_port():
